@@ -6,6 +6,7 @@ purpose: a reference that shares code with what it validates would repeat its er
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import TypeAlias
 
 import numpy as np
@@ -18,79 +19,44 @@ Index: TypeAlias = Ints | Bools
 """Indices of elements, or a mask with one bool per element."""
 
 
-def sum_by_index(index: Ints, values: Floats, count: int) -> Floats:
-    """Add up the values that share an index.
-
-    Parameters
-    ----------
-    index : (n,) int array
-        The index of each value, from 0 to count - 1.
-    values : (n,) float array
-        The numbers to add up.
-    count : int
-        Number of sums.
-
-    Returns
-    -------
-    sums : (count,) float array
-        For each index, the sum of its values, or 0 if it has none.
-    """
+def sum_by_index(
+    index: Shaped[Ints, "n"], values: Shaped[Floats, "n"], count: int
+) -> Shaped[Floats, "count"]:
+    """Add up the values that share an index, from 0 to count - 1; the sum of none is 0."""
     # Without values, np.bincount returns integers.
     return np.bincount(index, values, count).astype(np.float64, copy=False)
 
 
-def add_at_sorted_index(totals: Floats, index: Ints, values: Floats) -> None:
-    """Add values to the elements of an array at given indices, which may repeat.
+def add_at_sorted_index(
+    totals: Shaped[Floats, "... m"], index: Shaped[Ints, "n"], values: Shaped[Floats, "... n"]
+) -> None:
+    """Add values to elements along the last axis of an array, in place.
 
-    Unlike ``totals[..., index] += values``, this adds all values that share an index.
-
-    Parameters
-    ----------
-    totals : (..., m) float array
-        The array, which is changed in place.
-    index : (n,) int array
-        For each value, an index into the last axis of `totals`, in ascending order.
-    values : (..., n) float array
-        The values to add, with the same leading axes as `totals`.
+    The indices are in ascending order and may repeat: unlike ``totals[..., index] += values``, this
+    adds all values that share an index.
     """
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
     totals[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
 
 
-def list_segment_elements(lengths: Ints, starts: Ints) -> tuple[Ints, Ints]:
-    """List the elements of several segments of an array, one segment after another.
+def list_segment_elements(
+    lengths: Shaped[Ints, "n"], starts: Shaped[Ints, "n"]
+) -> tuple[Shaped[Ints, "m"], Shaped[Ints, "m"]]:
+    """List the indices of the segment and of the element, for all elements of several segments.
 
-    Parameters
-    ----------
-    lengths, starts : (n,) int arrays
-        Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1 of the array.
-
-    Returns
-    -------
-    segment_index : (m,) int array
-        For each listed element, the index of its segment.  Here m is the sum of `lengths`.
-    element_index : (m,) int array
-        For each listed element, its index in the array.
+    Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1 of an array.
     """
     segment_index = np.arange(lengths.size).repeat(lengths)
     offset = lengths.cumsum() - lengths - starts
     return segment_index, np.arange(segment_index.size) - offset[segment_index]
 
 
-def find_in_sorted(sorted_numbers: Ints, wanted_numbers: Ints) -> Ints:
-    """Find the positions of numbers in a sorted array.
+def find_in_sorted(
+    sorted_numbers: Shaped[Ints, "m"], wanted_numbers: Shaped[Ints, "n"]
+) -> Shaped[Ints, "n"]:
+    """Find the index of each wanted number in a sorted array, or -1 if it is missing there.
 
-    Parameters
-    ----------
-    sorted_numbers : (m,) int array
-        Non-negative numbers in ascending order.
-    wanted_numbers : (n,) int array
-        Non-negative numbers in any order.
-
-    Returns
-    -------
-    position : (n,) int array
-        For each wanted number, its index in `sorted_numbers`, or -1 if it is missing there.
+    All numbers are at least 0.
     """
     position = sorted_numbers.searchsorted(wanted_numbers)
     return np.where(np.append(sorted_numbers, -1)[position] == wanted_numbers, position, -1)

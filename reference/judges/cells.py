@@ -8,6 +8,8 @@ drops the entries that do not matter in it.
 
 cell
     A square part of the picture.
+face
+    A sphere, or a side of a box (see `faces`).
 pair
     A face that may be visible in a cell.
 settled
@@ -22,6 +24,7 @@ purpose: a reference that shares code with what it validates would repeat its er
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,76 +38,29 @@ MAX_WIDTH = 8
 
 
 class Cells(NamedTuple):
-    """c square cells of equal width that cover parts of a picture, with p pairs and q triples.
+    """Square cells of equal width that cover parts of a picture, with their pairs and triples."""
 
-    A pair consists of a cell and a face (a sphere, or a side of a box) that may be visible in it.
-    A light is settled for a pair if it is known to reach all of the face in the cell, or none of
-    it.  A triple describes a possible shadow: a pair, a light, and an object that may shade the
-    face from the light.
+    width: float  # in pixels; a power of two
+    # Centres of the cells, in pixels from the upper left corner of the picture.
+    x: Shaped[Floats, "cells"]
+    y: Shaped[Floats, "cells"]
+    cell_index: Shaped[Ints, "pairs"]
+    face_index: Shaped[Ints, "pairs"]
+    covers_cell: Shaped[Bools, "pairs"]  # whether the pair's face covers all of its cell
+    is_settled: Shaped[Bools, "pairs lights"]
+    radiance: Enclosures  # (8, 3, pairs), of the radiance due to all settled lights
+    shadow_triples: Shaped[Ints, "3 triples"]  # rows: indices of pairs, lights, and objects
 
-    Attributes
-    ----------
-    width : float
-        Width of the cells in pixels; a power of two.
-    x, y : (c,) float arrays
-        Centres of the cells, in pixels from the upper left corner of the picture.
-    cell_index, face_index : (p,) int arrays
-        Indices of the cell and of the face of each pair.
-    covers_cell : (p,) bool array
-        Whether the pair's face covers all of its cell.
-    is_settled : (p, lights) bool array
-        Whether the light is settled for the pair.
-    radiance : Enclosures
-        Enclosures (8, 3, p) of each pair's radiance due to all settled lights.
-    shadow_triples : (3, q) int array
-        Row 0 contains indices of pairs, row 1 of lights, and row 2 of objects.
-    """
-
-    width: float
-    x: Floats
-    y: Floats
-    cell_index: Ints
-    face_index: Ints
-    covers_cell: Bools
-    is_settled: Bools
-    radiance: Enclosures
-    shadow_triples: Ints
-
-    def select_triples(self, is_selected: Bools) -> Cells:
-        """Copy all cells and pairs, but only the selected triples.
-
-        A pair consists of a cell and a face that may be visible in it.  A triple describes
-        a possible shadow: a pair, a light, and an object that may shade the face from the light.
-
-        Parameters
-        ----------
-        is_selected : (q,) bool array
-            Whether to copy each triple.
-
-        Returns
-        -------
-        cells : Cells
-            The cells with all pairs and the selected triples.
-        """
+    def select_triples(self, is_selected: Shaped[Bools, "triples"]) -> Cells:
+        """Copy all cells and pairs, but only the selected triples."""
         return self._replace(shadow_triples=self.shadow_triples.compress(is_selected, axis=1))
 
-    def select_pairs(self, is_selected: Bools) -> tuple[Cells, Ints]:
+    def select_pairs(
+        self, is_selected: Shaped[Bools, "pairs"]
+    ) -> tuple[Cells, Shaped[Ints, "pairs"]]:
         """Copy all cells, but only the selected pairs and their triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple describes
-        a possible shadow: a pair, a light, and an object that may shade the face from the light.
-
-        Parameters
-        ----------
-        is_selected : (p,) bool array
-            Whether to copy each pair.
-
-        Returns
-        -------
-        cells : Cells
-            The cells with the selected pairs and their triples.
-        new_index : (p,) int array
-            For each old pair, its index among the selected pairs, or -1 if it is not selected.
+        Return also the new index of each old pair, or -1 if it is not selected.
         """
         new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
         pair_fields = "cell_index", "face_index", "covers_cell", "is_settled", "radiance"
@@ -113,22 +69,8 @@ class Cells(NamedTuple):
         cells = self._replace(**fields, shadow_triples=triples)
         return cells.select_triples(cells.shadow_triples[0] >= 0), new_index
 
-    def select_cells(self, is_selected: Bools) -> Cells:
-        """Copy the selected cells with all their pairs and triples.
-
-        A pair consists of a cell and a face that may be visible in it.  A triple describes
-        a possible shadow: a pair, a light, and an object that may shade the face from the light.
-
-        Parameters
-        ----------
-        is_selected : (c,) bool array
-            Whether to copy each cell.
-
-        Returns
-        -------
-        cells : Cells
-            The selected cells, with their pairs and triples.
-        """
+    def select_cells(self, is_selected: Shaped[Bools, "cells"]) -> Cells:
+        """Copy the selected cells with all their pairs and triples."""
         new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
         cell_index = new_index[self.cell_index]
         cells = self._replace(x=self.x[is_selected], y=self.y[is_selected], cell_index=cell_index)
@@ -142,22 +84,15 @@ class Cells(NamedTuple):
     def split_into_quarters(self, picture_width: int, picture_height: int) -> Cells:
         """Divide each cell into four quarters with the same pairs and triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple describes
-        a possible shadow: a pair, a light, and an object that may shade the face from the light.
-
-        Parameters
-        ----------
-        picture_width, picture_height : int
-            Size of the picture in pixels.
-
-        Returns
-        -------
-        quarters : Cells
-            The quarters, without those outside the picture.
+        Quarters outside the picture, whose size is given in pixels, are dropped.  The quarters of a
+        cell are adjacent: upper left, upper right, lower left, lower right.
         """
-        quarter_index, half_width = np.arange(4), self.width / 4  # half the width of a quarter
-        x = np.add.outer(self.x, (2 * (quarter_index & 1) - 1) * half_width).ravel()
-        y = np.add.outer(self.y, (quarter_index & 2) * half_width - half_width).ravel()
+        quarter_index = np.arange(4)
+        is_right, is_lower = quarter_index & 1, quarter_index >> 1
+        half_width = self.width / 4  # of a quarter
+        x = np.add.outer(self.x, (2 * is_right - 1) * half_width).ravel()
+        y = np.add.outer(self.y, (2 * is_lower - 1) * half_width).ravel()
+        # Pairs are numbered like quarters: pair i becomes the pairs 4 i to 4 i + 3.
         triples = self.shadow_triples.repeat(4, axis=1)
         triples[0] = 4 * triples[0] + np.tile(quarter_index, self.shadow_triples.shape[1])
         quarters = Cells(
@@ -176,59 +111,36 @@ class Cells(NamedTuple):
 
 
 class Contributions(NamedTuple):
-    """n contributions of single lights to the radiance of pairs, sorted by pair and light.
+    """Contributions of single lights to the radiance of pairs, sorted by pair and light.
 
-    A pair consists of a cell (a square part of the picture) and a face in it (a sphere, or a side
-    of a box).
-
-    Attributes
-    ----------
-    pair_index, light_index : (n,) int arrays
-        Indices of the pair and of the light of each contribution.
-    radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
-        reaches the face.  The first axis holds the coefficients of a polynomial and its error
-        bound; the second holds the three channels.
+    A contribution is what the face reflects to the eye wherever the light reaches the face.
     """
 
-    pair_index: Ints
-    light_index: Ints
-    radiance: Enclosures
+    pair_index: Shaped[Ints, "n"]
+    light_index: Shaped[Ints, "n"]
+    radiance: Enclosures  # (8, 3, n)
 
-    def select(self, is_selected: Bools) -> Contributions:
-        """Copy the contributions selected by a mask (n,)."""
+    def select(self, is_selected: Shaped[Bools, "n"]) -> Contributions:
         return Contributions._make(field[is_selected] for field in self)
 
 
 def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
-    """Cover a picture with a row or a column of square cells.
+    """Cover a picture of `width` times `height` pixels with a row or a column of square cells.
 
-    Their width in pixels is a power of two: at least 16, and at least the shorter side of the
-    picture.
-
-    Parameters
-    ----------
-    faces : Faces
-        The spheres and the sides of boxes in the scene.
-    width, height : int
-        Size of the picture in pixels.
-
-    Returns
-    -------
-    cells : Cells
-        The cells.  Each is paired with every face that may be visible to the camera.  Lights are
-        marked as settled for the faces that they certainly do not reach.  There are no triples yet.
+    The width of the cells is a power of two: at least 16 pixels, and at least the shorter side of
+    the picture.  Each cell is paired with every face that may be visible to the camera.  Lights
+    are settled for the faces that they certainly do not reach.  There are no triples yet.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
     y, x = (np.indices((row_count, column_count)).reshape(2, -1) + 0.5) * cell_width
-    face_index = np.flatnonzero(faces.may_be_visible)
-    cell_index, face_index = np.arange(x.size).repeat(face_index.size), np.tile(face_index, x.size)
+    visible_face_index = np.flatnonzero(faces.may_be_visible)
+    face_index = np.tile(visible_face_index, x.size)
     return Cells(
         width=cell_width,
         x=x,
         y=y,
-        cell_index=cell_index,
+        cell_index=np.arange(x.size).repeat(visible_face_index.size),
         face_index=face_index,
         covers_cell=np.zeros(face_index.size, np.bool_),
         is_settled=faces.is_unlit[:, face_index].T,

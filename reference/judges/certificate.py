@@ -45,8 +45,7 @@ same sign, the sum over at most 4^10 cells of a pixel errs by 4^10 e R, and the 
 n e R.  Therefore the bounds are widened by 1e-9 R.
 
 Radiance is linear RGB.  Errors are maxima over the three channels.  `Contributions` are what each
-unsettled light adds to the radiance of a pair; it may reach only a part of the face.  In shapes, c
-is the number of cells and n that of regions.
+unsettled light adds to the radiance of a pair; it may reach only a part of the face.
 """
 
 from __future__ import annotations
@@ -72,6 +71,7 @@ from reference.judges.cells import MAX_WIDTH, Cells, Contributions, make_initial
 from reference.judges.enclosures import UNKNOWN_Z, Enclosures, enclose_constants
 from reference.judges.faces import Faces
 from reference.judges.regions import Regions, Strips, divide_into_regions, enclose_in_strips
+from reference.judges.shading import shade
 from tracer import Scene, to_codes
 
 # Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays fit into
@@ -92,9 +92,11 @@ _MIN_WIDTH = 2.0**-10
 # happens if the focal length is so large that rounding errors hide every edge.
 _MAX_PENDING_CELLS = 1 << 11
 
-# The bounds are widened by the first fraction of the largest radiance, for rounding errors.  The
-# second is the fraction of the permitted error that the cells may cause.
-_ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
+# The bounds are widened by this fraction of the largest radiance, for rounding errors.
+_ROUNDING = 1e-9
+
+# Fraction of the permitted error that the cells may cause.  The rest is for rounding errors.
+_ERROR_FOR_CELLS = 0.999
 
 
 @dataclass(frozen=True)
@@ -122,55 +124,65 @@ class CellEstimates(NamedTuple):
 
     strips: Strips  # whose centre lines divide cells
     regions: Regions
-    radiance: Enclosures  # (8, 3, n), of all points of each region that lie in no strip
+    radiance: Enclosures  # (8, 3, regions), of all points of each region that lie in no strip
     # Sum of the jumps of all strips that contain the region's centroid.
-    sample_error: Shaped[Floats, "n"]
-    max_radiance: Shaped[Floats, "3 c"]  # upper bound on the radiance anywhere in a cell
-    mean: Shaped[Floats, "3 c"]
-    error: Shaped[Floats, "c"]  # upper bound on the error of the mean
+    sample_error: Shaped[Floats, "regions"]
+    max_radiance: Shaped[Floats, "3 cells"]  # upper bound on the radiance anywhere in a cell
+    mean: Shaped[Floats, "3 cells"]
+    error: Shaped[Floats, "cells"]  # upper bound on the error of the mean
 
 
 def estimate_means(
-    analysis: CellAnalysis, contributions: Contributions, is_skipped: Shaped[Bools, "c"]
+    analysis: CellAnalysis, contributions: Contributions, is_skipped: Shaped[Bools, "cells"]
 ) -> CellEstimates:
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
-    One sample is traced at the centroid of each region, except in skipped cells and in cells with
-    too many edges.  Their mean radiance is estimated as half the maximum.
+    One sample is traced at the centroid of each region, except in skipped cells, in cells with too
+    many edges, and in black cells.  Their mean radiance is estimated as half the maximum.
     """
-    cells, cell_count = analysis.cells, analysis.cells.x.size
-    max_radiance = _bound_radiance(cells, contributions)
+    cell_count = analysis.cells.x.size
+    max_radiance = _bound_radiance(analysis.cells, contributions)
     all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
     has_many_edges = np.bincount(all_strips.cell_index, minlength=cell_count) > _MAX_LINES
-    # Cells that are certainly black need no samples.
-    is_skipped = is_skipped | has_many_edges | (max_radiance.max(axis=0) == 0)
+    is_black = max_radiance.max(axis=0) == 0
+    is_skipped = is_skipped | has_many_edges | is_black
     strips = all_strips.take(~is_skipped[all_strips.cell_index])
-    sampled_cell_index, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
-    renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
-    regions = divide_into_regions(renumbered_strips, sampled_cell_index.size)
-    regions = regions._replace(cell_index=sampled_cell_index[regions.cell_index])
+    regions = _divide_cells(strips, ~is_skipped)
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
+
+    # A region's radiance and its mean are between 0 and the maximum of the cell.
     region_mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
     region_error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
+
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
     cell_error = sum_by_index(regions.cell_index, regions.area * region_error, cell_count)
     cell_error += sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
+    # The same holds for the mean of the cell.  An error of NaN is replaced, too.
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
-    return CellEstimates(strips, regions, radiance, sample_error, max_radiance, mean, cell_error)
+    return CellEstimates(
+        strips=strips,
+        regions=regions,
+        radiance=radiance,
+        sample_error=sample_error,
+        max_radiance=max_radiance,
+        mean=mean,
+        error=cell_error,
+    )
 
 
-def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 c"]:
+def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 cells"]:
     """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
     It is the maximum over the faces in the cell, or 0 if there are none.
     """
-    (_, face_bounds), max_radiance = cells.radiance.find_bounds(), np.zeros((3, cells.x.size))
+    _, face_bounds = cells.radiance.find_bounds()
     add_at_sorted_index(face_bounds, contributions.pair_index, contributions.radiance.max_abs)
+    max_radiance = np.zeros((3, cells.x.size))
     for channel, channel_bounds in zip(max_radiance, face_bounds, strict=True):
         np.maximum.at(channel, cells.cell_index, channel_bounds)
     return max_radiance
@@ -179,31 +191,55 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats
 def _enclose_edges(
     analysis: CellAnalysis,
     contributions: Contributions,
-    max_radiance: Shaped[Floats, "3 c"],
-    is_skipped: Shaped[Bools, "c"],
+    max_radiance: Shaped[Floats, "3 cells"],
+    is_skipped: Shaped[Bools, "cells"],
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump in radiance across the edge.
 
     The jump is at most the contribution of the light that the edge cuts off, or the maximum
-    radiance in the cell where the face changes.  Edges without a jump get no strip.  The strips are
-    sorted by cell.
+    radiance in the cell where the face changes.  Edges without a jump get no strip.
     """
-    cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
-    pair_index, light_index, edge_functions = analysis.collect_edge_functions()
-    # Each combination of a light and a pair (a cell and a face in it) has its own key.
-    keys = contributions.pair_index * light_count + contributions.light_index
-    contribution_index = find_in_sorted(keys, pair_index * light_count + light_index)
+    cells, edges = analysis.cells, analysis.collect_edge_functions()
+    cell_index = cells.cell_index[edges.pair_index]
+    contribution_index = _find_contributions(
+        contributions, edges.pair_index, edges.light_index, cells.is_settled.shape[1]
+    )
     # Index -1 selects the appended 0, for lights without a contribution.
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution_index]
-    cell_index = cells.cell_index[pair_index]
-    # Index -1 stands for no light: the visible face changes at the edge.
-    jump = np.where(light_index < 0, max_radiance.max(axis=0)[cell_index], light_jump)
+    jump = np.where(edges.light_index < 0, max_radiance.max(axis=0)[cell_index], light_jump)
     edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell_index])
-    return enclose_in_strips(cell_index[edge_index], edge_functions[edge_index], jump[edge_index])
+    functions = edges.functions[edge_index]
+    return enclose_in_strips(cell_index[edge_index], functions, jump[edge_index])
 
 
-def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Shaped[Floats, "n"]:
-    """Compute the sample error of each region from strips, which are sorted by cell.
+def _find_contributions(
+    contributions: Contributions,
+    pair_index: Shaped[Ints, "n"],
+    light_index: Shaped[Ints, "n"],
+    light_count: int,
+) -> Shaped[Ints, "n"]:
+    """Find the contributions to pairs from lights, or -1 where there is none.
+
+    For a light index of -1, the result has no meaning.
+    """
+    # Each combination of a pair and a light has its own key.
+    keys = contributions.pair_index * light_count + contributions.light_index
+    return find_in_sorted(keys, pair_index * light_count + light_index)
+
+
+def _divide_cells(strips: Strips, is_sampled: Shaped[Bools, "cells"]) -> Regions:
+    """Divide the sampled cells into regions; others, which have no strips, have no regions."""
+    sampled_cell_index = np.flatnonzero(is_sampled)
+    new_index = np.cumsum(is_sampled) - 1
+    renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
+    regions = divide_into_regions(renumbered_strips, sampled_cell_index.size)
+    return regions._replace(cell_index=sampled_cell_index[regions.cell_index])
+
+
+def _bound_sample_errors(
+    strips: Strips, regions: Regions, cell_count: int
+) -> Shaped[Floats, "regions"]:
+    """Compute the sample error of each region.
 
     The error is infinite if the region is too small for an accurate centroid.
     """
@@ -212,8 +248,9 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> S
     strip_count = np.diff(strip_start)[regions.cell_index]
     # Compare each region with all strips of its cell.
     region_index, strip_index = list_segment_elements(strip_count, strip_start[regions.cell_index])
-    strip, x, y = strips.take(strip_index), x[region_index], y[region_index]
-    is_in_strip = np.abs(strip.a * x + strip.b * y + strip.c) <= strip.half_width
+    strip = strips.take(strip_index)
+    height = strip.compute_height(x[region_index], y[region_index])
+    is_in_strip = np.abs(height) <= strip.half_width
     sample_error = sum_by_index(region_index, is_in_strip * strip.jump, regions.area.size)
     sample_error[regions.is_tiny] = np.inf
     return sample_error
@@ -222,46 +259,52 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> S
 def _enclose_region_radiance(
     analysis: CellAnalysis, contributions: Contributions, regions: Regions
 ) -> Enclosures:
-    """Enclose the radiance (8, 3, n) of each region by tracing one sample at its centroid.
+    """Enclose the radiance (8, 3, regions) by tracing one sample at the centroid of each region.
 
     It is what the visible face reflects from all settled lights, and from the unsettled lights that
     reach the centroid.  The background has radiance 0.
     """
     pair_index, is_lit = _trace_samples(analysis, regions)
-    radiance = analysis.cells.radiance[pair_index].coefficients
-    radiance[..., pair_index < 0] = 0
-    light_count = analysis.cells.is_settled.shape[1]
+    radiance = analysis.cells.radiance[pair_index]
+    radiance.coefficients[..., pair_index < 0] = 0
     region_index, light_index = np.nonzero(is_lit.T)
-    # Each combination of a light and a pair (a cell and a face in it) has its own key.
-    keys = contributions.pair_index * light_count + contributions.light_index
-    contribution_index = find_in_sorted(keys, pair_index[region_index] * light_count + light_index)
-    added_radiance = contributions.radiance[contribution_index].coefficients
-    add_at_sorted_index(radiance, region_index, added_radiance)
-    return Enclosures(radiance)
+    contribution_index = _find_contributions(
+        contributions, pair_index[region_index], light_index, len(is_lit)
+    )
+    added_radiance = contributions.radiance[contribution_index]
+    add_at_sorted_index(radiance.coefficients, region_index, added_radiance.coefficients)
+    return radiance
 
 
-def _trace_samples(
-    analysis: CellAnalysis, regions: Regions
-) -> tuple[Shaped[Ints, "n"], Shaped[Bools, "lights n"]]:
-    """Find the visible pair at the centroid of each region, and the unsettled lights that reach it.
+class _RegionSamples(NamedTuple):
+    """What the centroids of regions show."""
 
-    The pair is -1 for the background.  Settled lights do not count as reaching it.
-    """
-    cells, faces, half_width = analysis.cells, analysis.faces, analysis.cells.width / 2
+    pair_index: Shaped[Ints, "regions"]  # of the visible face, or -1 for the background
+    is_lit: Shaped[Bools, "lights regions"]  # by which unsettled lights; False for settled ones
+
+
+def _trace_samples(analysis: CellAnalysis, regions: Regions) -> _RegionSamples:
+    """Trace one sample at the centroid of each region."""
+    cells, faces = analysis.cells, analysis.faces
     cell_index, (_, x, y, *_) = regions.cell_index, regions.moments
-    positions = cells.x[cell_index] + half_width * x, cells.y[cell_index] + half_width * y
-    hits, sample_index, face_index = faces.trace_samples(*positions)
+    half_width = cells.width / 2
+    sample_x = cells.x[cell_index] + half_width * x
+    sample_y = cells.y[cell_index] + half_width * y
+    hits, sample_index, face_index = faces.trace_samples(sample_x, sample_y)
+    # Each combination of a cell and a face has its own key.
     face_count = faces.object_index.size
     pair_keys = cells.cell_index * face_count + cells.face_index
-    sorted_index, pair_index = pair_keys.argsort(), np.full(cell_index.size, -1)
     sample_keys = cell_index[sample_index] * face_count + face_index
+    sorted_index = pair_keys.argsort()
     key_index = find_in_sorted(pair_keys[sorted_index], sample_keys)
     if (key_index < 0).any():
         raise RuntimeError("a sample contradicts its cell: the certificate or the tracer is wrong")
-    pair_index[sample_index] = visible_pair_index = sorted_index[key_index]
+    visible_pair_index = sorted_index[key_index]
+    pair_index = np.full(cell_index.size, -1)
+    pair_index[sample_index] = visible_pair_index
     is_lit = np.zeros((cells.is_settled.shape[1], cell_index.size), dtype=np.bool_)
     is_lit[:, sample_index] = faces.test_lights(hits, ~cells.is_settled[visible_pair_index].T)
-    return pair_index, is_lit
+    return _RegionSamples(pair_index=pair_index, is_lit=is_lit)
 
 
 class _Picture:
@@ -277,9 +320,12 @@ class _Picture:
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
         """Create a black picture; raise ValueError as `certify` does."""
-        self.faces, self.permitted_error, self.cell_count = Faces(scene), permitted_error, 0
+        self.faces = Faces(scene)
+        self.permitted_error = permitted_error
+        self.cell_count = 0
         padded_size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
-        self.image, self.error_bound = np.zeros((3, *padded_size)), np.zeros(padded_size)
+        self.image = np.zeros((3, *padded_size))
+        self.error_bound = np.zeros(padded_size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide the cells into two groups if there are too many for one batch.
@@ -295,7 +341,7 @@ class _Picture:
         groups = [cells.select_cells(is_below_median), cells.select_cells(~is_below_median)]
         return groups if is_below_median.any() else [cells]
 
-    def find_pixel_index(self, cells: Cells) -> Shaped[Ints, "c"]:
+    def find_pixel_index(self, cells: Cells) -> Shaped[Ints, "cells"]:
         """Find the pixel that contains each cell, as an index into the flattened `error_bound`.
 
         For a cell that covers several pixels, it is the upper left one.
@@ -311,7 +357,8 @@ class _Picture:
         There is an enclosure, (8, 3, n) in all, for each of the selected cells.  A cell that is
         smaller than a pixel is weighted by its area in pixels.
         """
-        pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
+        pixels_across = max(int(cells.width), 1)
+        area = min(cells.width, 1) ** 2  # of the part of a cell in one pixel
         first_pixel_index = self.find_pixel_index(cells)[cell_index][:, None, None]
         row, column = np.divmod(first_pixel_index, self.error_bound.shape[1])
         row_offset, column_offset = np.indices((pixels_across, pixels_across))
@@ -342,7 +389,7 @@ class _Picture:
         is_only_pair = pair_count[cells.cell_index] == 1
         may_finish_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
-        contributions = analysis.shade(may_finish_cell | (cells.width <= 1), settled_error)
+        contributions = shade(analysis, may_finish_cell | (cells.width <= 1), settled_error)
         pair_index = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
         is_pending[cells.cell_index[pair_index]] = False
         self.add_cells(cells, cells.cell_index[pair_index], cells.radiance[pair_index])
@@ -356,8 +403,8 @@ class _Picture:
         return cells.select_cells(is_pending)
 
     def find_final_cells(
-        self, cells: Cells, cell_error: Shaped[Floats, "c"], is_pending: Shaped[Bools, "c"]
-    ) -> Shaped[Bools, "c"]:
+        self, cells: Cells, cell_error: Shaped[Floats, "cells"], is_pending: Shaped[Bools, "cells"]
+    ) -> Shaped[Bools, "cells"]:
         """Decide which cells, of at most one pixel, to add to the picture undivided.
 
         The remaining error of a pixel is its permitted error minus the error of its finished cells.
@@ -410,7 +457,8 @@ def certify(
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, _ERROR_FOR_CELLS * error)
     stack = [make_initial_cells(picture.faces, scene.width, scene.height)]
-    total_area, finished_area = stack[0].area, 0.0
+    total_area = stack[0].area
+    finished_area = 0.0
     while stack:
         cells = stack.pop()
         groups = picture.split_if_large(cells)
@@ -427,4 +475,9 @@ def certify(
     # Radiance is never negative, but rounding errors can make a sum of enclosures negative.
     image = picture.image[(slice(None), *visible_part)].transpose(1, 2, 0).copy().clip(0)
     bound = picture.error_bound[visible_part][:, :, None] + _ROUNDING * image.max(initial=0)
-    return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cell_count)
+    return Certificate(
+        low=np.maximum(image - bound, 0),
+        high=image + bound,
+        image=image,
+        cell_count=picture.cell_count,
+    )

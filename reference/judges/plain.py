@@ -17,6 +17,9 @@ Visibility: the closest intersection with t > 0 along the camera ray is visible.
 equally close, the one on the first object in the file is visible and, on a single box, the one on
 the side along the first axis.  If the eye is inside an object, or on its surface, the far
 intersection is used, and the normal points inwards.
+
+A point of a ray is origin + t direction.  Directions may have any length.  A `surface_index` is an
+index into `scene.surfaces`.
 """
 
 from __future__ import annotations
@@ -25,18 +28,19 @@ import decimal
 from collections.abc import Callable, Sequence
 from decimal import Decimal
 from itertools import chain
+from typing import Annotated as Shaped
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer import Phong, Scene, Sphere
+from tracer import Box, Phong, Scene, Sphere
 
 Array: TypeAlias = NDArray[Any]
 """Array of numbers of any type: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
 Roots: TypeAlias = tuple[Array, Array]
-"""The smaller and the larger t at which each ray, origin + t direction, meets a surface."""
+"""The smaller and the larger t at which each ray meets a surface."""
 
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
@@ -49,38 +53,29 @@ ARITHMETICS: dict[str, tuple[Callable[[Any], Any], float]] = {
 treated as 0, relative to the scene's largest coordinate."""
 
 
-def _dot(a: Array, b: Array) -> Any:
-    """Compute the dot products of vectors (3, n) with numbers of any type."""
+def _dot(a: Shaped[Array, "3 ..."], b: Shaped[Array, "3 ..."]) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _norm(vectors: Array) -> Any:
-    """Compute the lengths of vectors (3, n) with numbers of any type."""
+def _norm(vectors: Shaped[Array, "3 ..."]) -> Any:
     return np.sqrt(_dot(vectors, vectors))
 
 
-def _normalise(vectors: Array) -> Any:
-    """Divide each vector (3, n) by its length."""
+def _normalise(vectors: Shaped[Array, "3 ..."]) -> Any:
     return vectors / _norm(vectors)
 
 
-def intersect_by_projection(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by projecting the sphere's centre onto each ray.
+def intersect_by_projection(
+    origin: Shaped[Array, "3 #n"],
+    direction: Shaped[Array, "3 n"],
+    center: Shaped[Array, "3 1"],
+    radius: Shaped[Array, "1"],
+) -> Shaped[Roots, "n"]:
+    """Intersect rays with a sphere by projecting the sphere's centre onto each ray; NaN if it
+    misses.
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).
-
-    Parameters
-    ----------
-    origin, direction : (3, n) arrays
-        Origins and directions of the rays.  Directions may have any length.
-    center, radius : (3, 1) and () arrays
-        Centre and radius of the sphere.
-
-    Returns
-    -------
-    near, far : (n,) arrays
-        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     to_center = center - origin
     squared_length, projection = _dot(direction, direction), _dot(to_center, direction)
@@ -93,22 +88,15 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
     return np.minimum(t, other_t), np.maximum(t, other_t)
 
 
-def intersect_by_formula(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula of most textbooks.
+def intersect_by_formula(
+    origin: Shaped[Array, "3 #n"],
+    direction: Shaped[Array, "3 n"],
+    center: Shaped[Array, "3 1"],
+    radius: Shaped[Array, "1"],
+) -> Shaped[Roots, "n"]:
+    """Intersect rays with a sphere by the quadratic formula of most textbooks; NaN if it misses.
 
     The error grows with the square of the distance from the origin to the sphere.
-
-    Parameters
-    ----------
-    origin, direction : (3, n) arrays
-        Origins and directions of the rays.  Directions may have any length.
-    center, radius : (3, 1) and () arrays
-        Centre and radius of the sphere.
-
-    Returns
-    -------
-    near, far : (n,) arrays
-        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     from_center = origin - center
     linear_coef = 2 * _dot(from_center, direction)
@@ -116,43 +104,27 @@ def intersect_by_formula(origin: Array, direction: Array, center: Array, radius:
     return _solve_quadratics(_dot(direction, direction), linear_coef, constant_term)
 
 
-def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by an expanded form of the quadratic formula.
+def intersect_by_expansion(
+    origin: Shaped[Array, "3 #n"],
+    direction: Shaped[Array, "3 n"],
+    center: Shaped[Array, "3 1"],
+    radius: Shaped[Array, "1"],
+) -> Shaped[Roots, "n"]:
+    """Intersect rays with a sphere by an expanded form of the quadratic formula; NaN if it misses.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
     with the square of the distance between origin and sphere, and with the squares of their
     distances from the point (0, 0, 0).
-
-    Parameters
-    ----------
-    origin, direction : (3, n) arrays
-        Origins and directions of the rays.  Directions may have any length.
-    center, radius : (3, 1) and () arrays
-        Centre and radius of the sphere.
-
-    Returns
-    -------
-    near, far : (n,) arrays
-        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     distance2 = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
     linear_coef = 2 * (_dot(origin, direction) - _dot(center, direction))
     return _solve_quadratics(_dot(direction, direction), linear_coef, distance2 - radius * radius)
 
 
-def _solve_quadratics(a: Array, b: Array, c: Array) -> Roots:
-    """Solve the quadratic equations a t^2 + b t + c = 0 by the usual formula.
-
-    Parameters
-    ----------
-    a, b, c : (n,) arrays
-        Coefficients of the equations; a > 0.
-
-    Returns
-    -------
-    low, high : (n,) arrays
-        The smaller and the larger solution; NaN if there is no real one.
-    """
+def _solve_quadratics(
+    a: Shaped[Array, "n"], b: Shaped[Array, "n"], c: Shaped[Array, "#n"]
+) -> Shaped[Roots, "n"]:
+    """Solve a t^2 + b t + c = 0 with a > 0 by the usual formula; NaN without a real solution."""
     square_root = np.sqrt(b * b - 4 * a * c)
     return (-b - square_root) / (2 * a), (-b + square_root) / (2 * a)
 
@@ -185,84 +157,60 @@ The first method also skips the point's own object.  This is exact, because all 
 """
 
 
-_DEFAULTS = {"arithmetic": "float64", "sphere_method": "closest"}
-_DEFAULTS |= {"shadow_method": "exact", "ties": "first"}
+_DEFAULTS = {
+    "arithmetic": "float64",
+    "sphere_method": "closest",
+    "shadow_method": "exact",
+    "ties": "first",
+}
 
 
 class TracedRays(NamedTuple):
-    """Results of n camera rays: visible surfaces, the lights that reach them, and radiance.
+    """What camera rays meet, and the radiance that reaches the eye."""
 
-    Attributes
-    ----------
-    radiance : (n, 3) float array
-        Linear RGB radiance that reaches the eye.
-    surface_index : (n,) int array
-        Index of the visible surface in `scene.surfaces`, or -1 for the background.
-    is_lit : (lights, n) bool array
-        Whether the light reaches the visible point; False for the background.
-    """
-
-    radiance: NDArray[np.float64]
-    surface_index: NDArray[np.intp]
-    is_lit: NDArray[np.bool_]
+    radiance: Shaped[NDArray[np.float64], "rays 3"]  # linear RGB
+    surface_index: Shaped[NDArray[np.intp], "rays"]  # of the visible surface; -1: background
+    # Whether the light reaches the visible point; False for the background.
+    is_lit: Shaped[NDArray[np.bool_], "lights rays"]
 
 
 class _PlainTracer:
-    """A scene converted to one number type, with methods to trace rays through it.
+    """A scene converted to one number type, with methods to trace rays through it."""
 
-    Attributes
-    ----------
-    scene, surfaces : Scene, list of Surface
-        The scene and its surfaces, in the order of the file.
-    to_precision : callable
-        Converts a number, or an array of numbers, to the number type of this tracer.
-    intersect_sphere, start_shadow_rays : callables
-        The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
-    skips_own_object, last_wins_ties : bool
-        Whether shadow rays skip the surface from which they start (method "exact"); whether the
-        last of several equally close surfaces is visible instead of the first.
-    eye : (3, 1) array
-        Position of the eye.
-    light_positions : list of (3, 1) arrays
-        Positions of the lights.
-    is_sphere : list of bool
-        Whether each surface is a sphere; others are boxes.
-    shapes : list of pairs of arrays
-        For each surface, the centre (3, 1) and radius (1, 1) of a sphere, or the lower and upper
-        corners (3, 1) of a box.
-    is_eye_inside : list of bool
-        For each surface, whether the eye is inside it or on it.
-    scene_size : number
-        The largest absolute coordinate or radius in the scene.
-    relative_tolerance : number
-        A length is treated as 0 if its ratio to another length is at most this number: 1e-50 in
-        decimal arithmetic, otherwise 0.
-    tolerance : number
-        Maximum length that is treated as 0: `relative_tolerance` times `scene_size`.
-    """
+    scene: Scene
+    surfaces: Sequence[Box | Sphere]
+    to_precision: Callable[[Any], Any]  # converts numbers and arrays to the number type
+    intersect_sphere: Callable[[Array, Array, Array, Array], Roots]
+    start_shadow_rays: Callable[[Array, Array], tuple[Array, float]]
+    # Whether shadow rays skip the surface from which they start (method "exact").
+    skips_own_object: bool
+    # Whether the last of several equally close surfaces is visible, instead of the first.
+    last_wins_ties: bool
+    eye: Shaped[Array, "3 1"]
+    light_positions: list[Shaped[Array, "3 1"]]
+    is_sphere: list[bool]  # others are boxes
+    # For each surface, the centre (3, 1) and the radius (1, 1) of a sphere, or the lower and the
+    # upper corner (3, 1) of a box.
+    shapes: list[list[Array]]
+    is_eye_inside: list[bool]  # whether the eye is inside the surface or on it
+    scene_size: Any  # the largest absolute coordinate or radius in the scene
+    # A length is treated as 0 if its ratio to another length is at most this number, which is 1e-50
+    # in decimal arithmetic, otherwise 0.
+    relative_tolerance: Any
+    tolerance: Any  # `relative_tolerance` times `scene_size`
 
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and select the methods for tracing it.
-
-        Parameters
-        ----------
-        scene : Scene
-            The scene.
-        arithmetic, sphere_method, shadow_method : str
-            Keys of `ARITHMETICS`, `SPHERE_METHODS` and `SHADOW_METHODS`.
-        ties : str
-            Which of several equally close surfaces is visible: "first" or "last" in the file.
-
-        Raises
-        ------
-        KeyError
-            If a key does not exist.
+        """Convert a scene to a number type, and select methods as in `trace`; KeyError if one is
+        unknown.
         """
         to_precision, relative_tolerance = ARITHMETICS[arithmetic]
-        self.scene, self.surfaces, self.to_precision = scene, scene.surfaces[:], to_precision
-        self.skips_own_object, self.last_wins_ties = shadow_method == "exact", ties == "last"
+        self.scene = scene
+        self.surfaces = scene.surfaces[:]
+        self.to_precision = to_precision
+        self.skips_own_object = shadow_method == "exact"
+        self.last_wins_ties = ties == "last"
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
         self.start_shadow_rays = SHADOW_METHODS[shadow_method]
         self.eye = to_precision(scene.camera.view_point)[:, None]
@@ -281,42 +229,23 @@ class _PlainTracer:
         distances = [self.compute_signed_distance(index, self.eye) for index in surface_indices]
         self.is_eye_inside = [bool(distance[0] <= 0) for distance in distances]
 
-    def snap_to_zero(self, values: Array, scale: Array) -> Array:
-        """Replace values with 0 where they are tiny in relation to a scale.
+    def snap_to_zero(self, values: Shaped[Array, "..."], scale: Any) -> Shaped[Array, "..."]:
+        """Replace decimal values with 0 where they are at most 1e-50 times a scale.
 
-        Parameters
-        ----------
-        values : array
-            Numbers of the tracer's number type.
-        scale : array that broadcasts to `values`
-            A decimal value is tiny if its absolute value is at most 1e-50 times the scale.  Values
-            in float32 or float64 are never tiny.
-
-        Returns
-        -------
-        snapped : array
-            `values`, with 0 in place of tiny values.
+        The scale is a number, or an array that broadcasts.  Other number types stay as they are,
+        and the result may be `values` itself.
         """
         if not self.relative_tolerance:
             return values
         is_tiny = np.abs(values) <= self.relative_tolerance * scale
         return np.where(is_tiny, self.to_precision(0), values)
 
-    def compute_signed_distance(self, surface_index: int, points: Array) -> Array:
-        """Compute the signed distance of each point from a surface.
+    def compute_signed_distance(
+        self, surface_index: int, points: Shaped[Array, "3 n"]
+    ) -> Shaped[Array, "n"]:
+        """Compute distances from a surface: positive outside, 0 on the surface, negative inside.
 
-        Parameters
-        ----------
-        surface_index : int
-            Index of the surface in the scene.
-        points : (3, n) array
-            The points.
-
-        Returns
-        -------
-        distance : (n,) array
-            Positive outside the surface, 0 on it, negative inside.  For a box, this is the largest
-            of the signed distances from the planes of its sides.
+        For a box, this is the largest of the signed distances from the planes of its sides.
         """
         if self.is_sphere[surface_index]:
             center, radius = self.shapes[surface_index]
@@ -326,21 +255,16 @@ class _PlainTracer:
             distance = np.maximum(low - points, points - high).max(axis=0)
         return self.snap_to_zero(distance, self.scene_size)
 
-    def compute_ray_directions(self, x: Array, y: Array) -> Array:
-        """Compute the directions of camera rays through given positions in the picture.
+    def compute_ray_directions(
+        self, x: Shaped[Array, "n"], y: Shaped[Array, "n"]
+    ) -> Shaped[Array, "3 n"]:
+        """Compute vectors from the eye to positions on the camera's window.
 
-        Parameters
-        ----------
-        x, y : (n,) float arrays
-            Positions in the picture, in pixels right and down from its upper left corner.
-
-        Returns
-        -------
-        direction : (3, n) array
-            Vectors from the eye to the positions on the camera's window.
+        The positions are in pixels right and down from the upper left corner of the picture.
         """
         to_precision, camera = self.to_precision, self.scene.camera
-        width, height, normal = self.scene.width, self.scene.height, to_precision(camera.normal)
+        width, height = self.scene.width, self.scene.height
+        normal = to_precision(camera.normal)
         view_direction = _normalise(to_precision(camera.view_dir))
         back = _normalise(-normal if _dot(normal, view_direction) > 0 else normal)
         right = _normalise(np.cross(to_precision(camera.view_up), back))
@@ -353,26 +277,17 @@ class _PlainTracer:
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
     def intersect_slabs(
-        self, box_index: int, origin: Array, direction: Array, is_closed: bool
-    ) -> Roots:
+        self,
+        box_index: int,
+        origin: Shaped[Array, "3 #n"],
+        direction: Shaped[Array, "3 n"],
+        is_closed: bool,
+    ) -> Shaped[Roots, "3 n"]:
         """Intersect rays with the three slabs between opposite sides of a box.
 
-        Parameters
-        ----------
-        box_index : int
-            Index of the box among the surfaces of the scene.
-        origin : (3, 1) or (3, n) array
-            Origins of the rays.
-        direction : (3, n) array
-            Directions of the rays.
-        is_closed : bool
-            Whether a ray that lies in the plane of a side counts as being in the slab.
-
-        Returns
-        -------
-        near, far : (3, n) arrays
-            For each axis, the ray enters the slab at origin + near direction, and leaves it at
-            origin + far direction.  If the ray misses the slab, near > far.
+        `box_index` is a surface index.  A ray enters a slab at the first t, and leaves it at the
+        second; the first is larger if the ray misses the slab.  If `is_closed`, a ray that lies in
+        the plane of a side is in the slab.
         """
         corners = (corner - origin for corner in self.shapes[box_index])
         low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
@@ -383,26 +298,16 @@ class _PlainTracer:
         return near, np.where(direction == 0, parallel_far, np.maximum(t_low, t_high))
 
     def intersect(
-        self, surface_index: int, origin: Array, direction: Array, is_closed: bool
-    ) -> Roots:
+        self,
+        surface_index: int,
+        origin: Shaped[Array, "3 #n"],
+        direction: Shaped[Array, "3 n"],
+        is_closed: bool,
+    ) -> Shaped[Roots, "n"]:
         """Intersect rays with a sphere or a box.
 
-        Parameters
-        ----------
-        surface_index : int
-            Index of the surface in the scene.
-        origin : (3, 1) or (3, n) array
-            Origins of the rays.
-        direction : (3, n) array
-            Directions of the rays.
-        is_closed : bool
-            Whether a ray that lies in the plane of a box's side counts as meeting the box.
-
-        Returns
-        -------
-        near, far : (n,) arrays
-            The ray meets the surface at origin + t direction for t = near and far.  If it misses
-            the surface, near > far, or both are NaN.
+        If a ray misses the surface, the first t is larger, or both are NaN.  If `is_closed`, a ray
+        that lies in the plane of a box's side may meet the box.
         """
         if self.is_sphere[surface_index]:
             center, radius = self.shapes[surface_index]
@@ -410,60 +315,46 @@ class _PlainTracer:
         near, far = self.intersect_slabs(surface_index, origin, direction, is_closed)
         return near.max(axis=0), far.min(axis=0)
 
-    def trace(self, x: Array, y: Array) -> TracedRays:
-        """Trace a camera ray through each of n positions in the picture.
-
-        Parameters
-        ----------
-        x, y : (n,) float arrays
-            Positions in the picture, in pixels right and down from its upper left corner.
-
-        Returns
-        -------
-        traced : TracedRays
-            For each ray, the visible surface, the lights that reach this surface, and the radiance.
+    def trace(self, x: Shaped[Array, "n"], y: Shaped[Array, "n"]) -> TracedRays:
+        """Trace a camera ray through each position in the picture, as `compute_ray_directions`
+        does.
         """
         direction = self.compute_ray_directions(x, y)
         closest_t, visible_index = self.find_closest_hits(direction)
         ray_index = np.flatnonzero(visible_index >= 0)
-        hit_surface_index, direction = visible_index[ray_index], direction.take(ray_index, 1)
+        own_index = visible_index[ray_index]
+        direction = direction.take(ray_index, 1)
         points = self.eye + closest_t[ray_index] * direction
         normals = np.zeros_like(points)
-        for surface_index in np.unique(hit_surface_index).tolist():
-            hit_index = np.flatnonzero(hit_surface_index == surface_index)
+        for surface_index in np.unique(own_index).tolist():
+            hit_index = np.flatnonzero(own_index == surface_index)
             hits = points.take(hit_index, 1), direction.take(hit_index, 1)
             projected_hits = self.project_onto_surface(surface_index, *hits)
             points[:, hit_index], normals[:, hit_index] = projected_hits
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
-        lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
-        for light, light_position, is_lit_by_light in lights:
-            is_hit_lit = self.test_light(hit_surface_index, points, normals, light_position)
-            is_lit_by_light[ray_index] = is_hit_lit
+        for light_index, light in enumerate(self.scene.lights):
+            light_position = self.light_positions[light_index]
+            is_hit_lit = self.test_light(own_index, points, normals, light_position)
+            is_lit[light_index, ray_index] = is_hit_lit
             to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
-            for surface_index in np.unique(hit_surface_index[is_hit_lit]).tolist():
-                hit_index = np.flatnonzero(is_hit_lit & (hit_surface_index == surface_index))
+            for surface_index in np.unique(own_index[is_hit_lit]).tolist():
+                hit_index = np.flatnonzero(is_hit_lit & (own_index == surface_index))
                 unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))
                 reflected = self.compute_reflected_radiance(surface_index, *unit_vectors)
                 radiance[ray_index[hit_index]] += reflected * light.intensity
-        return TracedRays(radiance, visible_index, is_lit)
+        return TracedRays(radiance=radiance, surface_index=visible_index, is_lit=is_lit)
 
-    def find_closest_hits(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Find the closest intersection of each camera ray with any surface.
+    def find_closest_hits(
+        self, direction: Shaped[Array, "3 n"]
+    ) -> tuple[Shaped[Array, "n"], Shaped[NDArray[np.intp], "n"]]:
+        """Find the smallest t at which each camera ray meets a surface, and the index of this
+        surface.
 
-        Parameters
-        ----------
-        direction : (3, n) array
-            Directions of the rays.
-
-        Returns
-        -------
-        closest_t : (n,) array
-            The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
-        closest_surface_index : (n,) int array
-            Index of the surface that the ray meets there, or -1.
+        They are infinity and -1 if there is none.
         """
-        direction_length, closest_surface_index = _norm(direction), np.full(direction.shape[1], -1)
+        direction_length = _norm(direction)
+        closest_surface_index = np.full(direction.shape[1], -1)
         closest_t = self.to_precision(np.full(direction.shape[1], np.inf))
         for surface_index in range(len(self.shapes))[:: -1 if self.last_wins_ties else 1]:
             near, far = self.intersect(surface_index, self.eye, direction, is_closed=True)
@@ -475,24 +366,11 @@ class _PlainTracer:
         return closest_t, closest_surface_index
 
     def project_onto_surface(
-        self, surface_index: int, points: Array, direction: Array
-    ) -> tuple[Array, Array]:
-        """Move points near a surface exactly onto it, and compute the normals there.
+        self, surface_index: int, points: Shaped[Array, "3 n"], direction: Shaped[Array, "3 n"]
+    ) -> tuple[Shaped[Array, "3 n"], Shaped[Array, "3 n"]]:
+        """Move hits of camera rays exactly onto a surface, and compute the unit normals there.
 
-        Parameters
-        ----------
-        surface_index : int
-            Index of the surface in the scene.
-        points, direction : (3, n) arrays
-            Points where camera rays meet the surface, and the directions of these rays.  The points
-            may be changed in place.
-
-        Returns
-        -------
-        points : (3, n) array
-            The points on the surface.
-        normals : (3, n) array
-            Unit normals on the side of the surface that is visible to the eye.
+        The normals point to the side that the eye sees.  `points` may be changed.
         """
         is_eye_inside, shape = self.is_eye_inside[surface_index], self.shapes[surface_index]
         if self.is_sphere[surface_index]:
@@ -512,23 +390,16 @@ class _PlainTracer:
         normals[axis, ray_index] = self.to_precision(np.where(is_forward, -1, 1))
         return points, normals
 
-    def test_light(self, own_index: Array, points: Array, normals: Array, light: Array) -> Array:
-        """Test whether a light reaches each of n surface points.
+    def test_light(
+        self,
+        own_index: Shaped[NDArray[np.intp], "n"],
+        points: Shaped[Array, "3 n"],
+        normals: Shaped[Array, "3 n"],
+        light: Shaped[Array, "3 1"],
+    ) -> Shaped[NDArray[np.bool_], "n"]:
+        """Test whether a light is in front of points, and no surface blocks the segments to it.
 
-        Parameters
-        ----------
-        own_index : (n,) int array
-            Index of the surface on which each point lies.
-        points, normals : (3, n) arrays
-            The points, and the unit normals of the surfaces there.
-        light : (3, 1) array
-            Position of the light.
-
-        Returns
-        -------
-        is_lit : (n,) bool array
-            Whether the light is in front of the surface, and no surface blocks the segment from the
-            point to the light.
+        `own_index` is the index of the surface on which each point lies.
         """
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
         for occluder_index, is_eye_inside in enumerate(self.is_eye_inside):
@@ -544,40 +415,30 @@ class _PlainTracer:
             is_lit[index] = ~is_blocked
         return is_lit
 
-    def is_blocking(self, surface_index: int, points: Array, light: Array, epsilon: float) -> Array:
+    def is_blocking(
+        self,
+        surface_index: int,
+        points: Shaped[Array, "3 n"],
+        light: Shaped[Array, "3 1"],
+        epsilon: float,
+    ) -> Shaped[NDArray[np.bool_], "n"]:
         """Test whether a surface blocks the segment from each point to a light.
 
-        Intersections at the ends of the segment do not count.
-
-        Parameters
-        ----------
-        surface_index : int
-            Index of the surface in the scene.
-        points : (3, n) array
-            The points.
-        light : (3, 1) array
-            Position of the light.
-        epsilon : float
-            Distance from the point within which intersections are ignored.
-
-        Returns
-        -------
-        is_blocked : (n,) bool array
-            Whether the surface blocks the segment.
+        Intersections at the ends of the segment, or within `epsilon` of the point, do not count.
         """
         distance = _norm(light - points)
         direction = (light - points) / distance
         direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
-        min_t, max_t = self.to_precision(epsilon) + self.tolerance, distance - self.tolerance
+        min_t = self.to_precision(epsilon) + self.tolerance
+        max_t = distance - self.tolerance
 
         def is_between(t: Array) -> Any:
-            """Test which distances t (n,) lie strictly between the point and the light."""
             return (t > min_t) & (t < max_t)
 
         near, far = self.intersect(surface_index, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
         if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface_index]:
-            # If the light or the point is on the sphere, one intersection is known exactly.  The
+            # One intersection is known exactly if the light or the point is on the sphere.  The
             # other follows from symmetry: t = middle_t is halfway between them.
             middle_t = _dot(self.shapes[surface_index][0] - points, direction)
             blocks_light_on_sphere = is_between(2 * middle_t - distance)
@@ -593,25 +454,17 @@ class _PlainTracer:
         return np.asarray(is_blocked)
 
     def compute_reflected_radiance(
-        self, surface_index: int, normals: Array, to_light: Array, to_eye: Array
-    ) -> NDArray[np.float64]:
+        self,
+        surface_index: int,
+        normals: Shaped[Array, "3 n"],
+        to_light: Shaped[Array, "3 n"],
+        to_eye: Shaped[Array, "3 n"],
+    ) -> Shaped[NDArray[np.float64], "n 3"]:
         """Compute the radiance that surface points reflect from a light of intensity 1.
 
-        The Lambert term is the diffuse colour times n.l, with the unit normal n and the unit vector
-        l to the light.  The Blinn-Phong term is the specular colour times (n.h)^exponent, with h
-        halfway between l and the vector to the eye.
-
-        Parameters
-        ----------
-        surface_index : int
-            Index of the surface in the scene.
-        normals, to_light, to_eye : (3, n) arrays
-            Unit vectors: normals, and directions to the light and to the eye.
-
-        Returns
-        -------
-        radiance : (n, 3) float array
-            Reflected linear RGB radiance.
+        All vectors are unit vectors.  The Lambert term is the diffuse colour times n.l, with the
+        normal n and the vector l to the light.  The Blinn-Phong term is the specular colour times
+        (n.h)^exponent, with h halfway between l and the vector to the eye.
         """
         shader = self.surfaces[surface_index].shader
         radiance = np.outer(_dot(normals, to_light).astype(float), shader.diffuse)
@@ -630,50 +483,31 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
-    x, y : (n,) arrays
+    x, y
         Positions in the picture, in pixels right and down from its upper left corner.  The first
         pixel has its centre at (0.5, 0.5).
-    **methods : str
-        `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
-        `sphere_method` : how to intersect rays with spheres, a key of `SPHERE_METHODS`; by
-        default "closest".
-        `shadow_method` : how to keep surfaces from shading their own points, a key of
+    **methods
+        `arithmetic`: the number type, a key of `ARITHMETICS`; by default "float64".
+        `sphere_method`: how to intersect rays with spheres, a key of `SPHERE_METHODS`; by default
+        "closest".
+        `shadow_method`: how to keep surfaces from shading their own points, a key of
         `SHADOW_METHODS`; by default "exact".
-        `ties` : which of several equally close surfaces is visible, the "first" or the "last" in
-        the scene file; by default "first".
-
-    Returns
-    -------
-    traced : TracedRays
-        For each ray, the visible surface, the lights that reach this surface, and the radiance.
-
-    Raises
-    ------
-    KeyError
-        If a number type or method does not exist.
+        `ties`: which of several equally close surfaces is visible, the "first" or the "last" in the
+        scene file; by default "first".
+        An unknown key raises KeyError.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
         return _PlainTracer(scene, **_DEFAULTS | methods).trace(np.asarray(x), np.asarray(y))
 
 
-def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
-    """Render a scene with one sample per pixel, testing every ray against every object.
+def render(
+    scene: Scene, offset: Sequence[float] = (0, 0), **methods: str
+) -> Shaped[Array, "height width 3"]:
+    """Render a scene with one sample per pixel, in linear RGB, testing every ray against every
+    object.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    offset : sequence of two floats
-        Shift of all samples from the centres of their pixels, in pixels right and down.
-    **methods : str
-        Keyword arguments of `trace`: the number type and the methods.
-
-    Returns
-    -------
-    image : (height, width, 3) float array
-        Linear RGB radiance, top row first.
+    All samples are shifted from the centres of their pixels by `offset`, in pixels right and down.
+    The methods are those of `trace`.
     """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     traced = trace(scene, x + offset[0], y + offset[1], **methods)

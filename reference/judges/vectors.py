@@ -1,49 +1,35 @@
-"""Products of vectors that depend linearly on the position (X, Y) in a cell of the picture."""
+"""Products of vectors that depend linearly on the position (X, Y) in a cell of the picture.
+
+Such vectors are arrays of shape (3, 3, n).  The first axis holds the components, and the second the
+coefficients of 1, X and Y in each component.
+"""
 
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
+from typing import Annotated as Shaped
 
 import numpy as np
 
 from reference.judges.arrays import Floats
 
+# Indices of the components y, z, x and z, x, y, for cross products.
+_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 
-def compute_squared_length(vectors: Floats) -> Floats:
-    """Compute the squared lengths of vectors that depend linearly on X and Y.
 
-    Parameters
-    ----------
-    vectors : (3, 3, n) float array
-        n vectors.  The first axis holds the components; the second holds the coefficients of 1, X
-        and Y in each component.
-
-    Returns
-    -------
-    squared_length : (6, n) float array
-        The squared lengths as polynomials: coefficients of 1, X, Y, X^2, X Y and Y^2.
-    """
-    # Pairs of coefficients, in the order of 1, X, Y, X^2, X Y and Y^2.
+def compute_squared_length(vectors: Shaped[Floats, "3 3 n"]) -> Shaped[Floats, "6 n"]:
+    """Compute squared lengths: the coefficients of 1, X, Y, X^2, X Y and Y^2."""
+    # Pairs of coefficients come in this order, too.
     pairs = combinations_with_replacement(vectors.swapaxes(0, 1), 2)
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in pairs])
 
 
-def compute_cross_product(constant_vectors: Floats, vectors: Floats) -> Floats:
+def compute_cross_product(
+    constant_vectors: Shaped[Floats, "3 n"], vectors: Shaped[Floats, "3 k n"]
+) -> Shaped[Floats, "3 k n"]:
     """Compute the cross products of constant vectors with vectors that depend on X and Y.
 
-    Parameters
-    ----------
-    constant_vectors : (3, n) float array
-        The first factors.
-    vectors : (3, k, n) float array
-        The second factors.  The first axis holds the components; the second holds k coefficients of
-        each component, such as those of 1, X and Y.
-
-    Returns
-    -------
-    product : (3, k, n) float array
-        The cross products, with the same axes as `vectors`.
+    The second factors, and the products, have k coefficients for each component.
     """
-    yzx, zxy = [1, 2, 0], [2, 0, 1]
     first_factor = constant_vectors[:, None]
-    return first_factor[yzx] * vectors[zxy] - first_factor[zxy] * vectors[yzx]
+    return first_factor[_YZX] * vectors[_ZXY] - first_factor[_ZXY] * vectors[_YZX]

@@ -1,0 +1,95 @@
+"""Functions of the camera ray, whose signs decide questions and whose zeros are possible edges.
+
+The form smooth_part + root_factor * root_term, and *pairs*, are explained in `cell_analysis` and
+`cells`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated as Shaped
+from typing import NamedTuple
+
+import numpy as np
+
+from reference.judges.arrays import Bools, Floats, Ints
+from reference.judges.enclosures import ERROR, ROUNDING, UNKNOWN_Z, Enclosures
+from reference.judges.vectors import compute_cross_product, compute_squared_length
+
+
+class RayFunctions(NamedTuple):
+    """Functions of the camera ray, smooth_part + root_factor * root_term, each for one pair."""
+
+    pair_index: Shaped[Ints, "n"]
+    smooth_part: Enclosures  # (8, n)
+    root_factor: Enclosures | Shaped[Floats, "n"]  # an array if it is constant in the cell
+
+    def take(self, index: Shaped[Ints, "k"]) -> RayFunctions:
+        return RayFunctions._make(field[index] for field in self)
+
+
+class Condition(NamedTuple):
+    """A condition for each of some claims, which holds where a function is positive.
+
+    A *claim* is a statement about a pair, such as "the face covers the cell".  It is true where all
+    its conditions hold.
+    """
+
+    claim_index: Shaped[Ints, "n"]
+    functions: RayFunctions
+    # Whether the picture may have an edge where the function is zero.
+    has_edge: Shaped[Bools, "n"] | bool = True
+
+
+class EdgeFunctions(NamedTuple):
+    """Functions that are zero wherever the picture has an edge."""
+
+    pair_index: Shaped[Ints, "n"]
+    # Index of the light that is cut off at the edge, or -1 if the visible face changes there.
+    light_index: Shaped[Ints, "n"]
+    functions: Enclosures  # (8, n), in the cells of the pairs
+
+    def take(self, index: Shaped[Ints, "k"]) -> EdgeFunctions:
+        return EdgeFunctions._make(field[index] for field in self)
+
+
+class Cone(NamedTuple):
+    """A function that is positive inside the cone around a sphere (see `enclose_cone`)."""
+
+    function: Enclosures  # (8, n)
+    cross: Shaped[Floats, "3 3 n"]  # the cross products c x q
+
+
+def enclose_cone(
+    center: Shaped[Floats, "3 n"],
+    radius: Shaped[Floats, "n"],
+    points: Shaped[Floats, "3 3 n"],
+    shifted_points: Shaped[Floats, "3 3 n"],
+    sizes: tuple[Shaped[Floats, "n"] | float, Shaped[Floats, "n"] | float],
+) -> Cone:
+    """Enclose a function that is positive at points inside the cone around a sphere.
+
+    The cone consists of all lines that contain its apex and meet the sphere.  Let c be the sphere's
+    centre and q a point, both relative to the apex, and let r be the radius.  The function is r^2
+    |q|^2 - |c x q|^2.
+
+    Parameters
+    ----------
+    points
+        The points q, as linear functions (see `vectors`).
+    shifted_points
+        Each q plus a multiple of c, from which c x q can be computed with less rounding error.
+    sizes
+        Upper bounds on the absolute values of the terms of `points` and of `shifted_points`.
+    """
+    size, shifted_size = sizes
+    radius2 = radius * radius
+    center2 = (center * center).sum(axis=0)
+    cross = compute_cross_product(center, shifted_points)
+    coefficients = np.zeros((8, radius.size))
+    coefficients[:UNKNOWN_Z] = radius2 * compute_squared_length(points) - compute_squared_length(
+        cross
+    )
+    error_bound = radius2 * size * np.abs(points).sum(axis=(0, 1))
+    error_bound += center2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
+    coefficients[ERROR] = 8 * ROUNDING * error_bound
+    return Cone(function=Enclosures(coefficients), cross=cross)
