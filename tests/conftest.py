@@ -38,18 +38,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def find_program(program: str) -> str:
-    """Return the path of an installed program; if it is not installed, skip the current test.
-
-    Parameters
-    ----------
-    program : str
-        Name of the program, for example "povray".
-
-    Returns
-    -------
-    path : str
-        The path of the executable file.
-    """
+    """Return the path of an installed program; if it is not installed, skip the current test."""
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"{program} is not installed")
@@ -58,16 +47,10 @@ def find_program(program: str) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Make the test run fail if a test was skipped for an unexpected reason.
+    """Make the test run fail if a test was skipped for an unexpected reason: it may hide a failure.
 
-    A skipped test may hide a failure.  With the option `--expect-skips`, which lists the programs
-    that may be missing, pytest calls this function at the end of the run.  The function prints each
-    unexpected reason, and changes the exit status to that of failed tests.
-
-    Parameters
-    ----------
-    session : pytest.Session
-        The test run.
+    The option `--expect-skips` lists the programs that may be missing; without it, any reason will
+    do.  Each unexpected reason is printed, and the exit status becomes that of failed tests.
     """
     missing_programs = session.config.getoption("--expect-skips")
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")

@@ -35,34 +35,15 @@ NAMES = [path.stem for path in list_scene_files()]
 
 
 def scene_parameters(*quick: str) -> list:
-    """Return the names of the project's scenes as test parameters; mark most of them as slow.
-
-    Parameters
-    ----------
-    *quick : str
-        Names of the scenes to test in the quick run as well.
-
-    Returns
-    -------
-    parameters : list of pytest.param
-        One parameter for each name in `NAMES`.
-    """
+    """Return the names of the project's scenes as test parameters, slow but for some quick ones."""
     return [pytest.param(name, marks=[pytest.mark.slow] * (name not in quick)) for name in NAMES]
 
 
 class HardScene(NamedTuple):
-    """A file in `tests/scenes`, and the fields of its comment.
-
-    Attributes
-    ----------
-    path : Path
-        The scene file.
-    fields : dict of str to str
-        Values of the fields by name; the names are among `FIELDS`.
-    """
+    """A file in `tests/scenes`, and the fields of its comment."""
 
     path: Path
-    fields: dict[str, str]
+    fields: dict[str, str]  # values by name
 
     @property
     def scene(self) -> Scene:
@@ -78,24 +59,8 @@ class HardScene(NamedTuple):
 def hard_scenes(field: str) -> list:
     """Return all files of `tests/scenes` that have a certain field, as test parameters.
 
-    A field is a line "name: value" in the last paragraph of a file's first comment.  The paragraphs
-    before it say why the scene is hard to render.
-
-    Parameters
-    ----------
-    field : str
-        Name of the field, from `FIELDS`.
-
-    Returns
-    -------
-    parameters : list of pytest.param
-        A `HardScene` for each file with the field, sorted by name.  A file with "slow: yes" is
-        marked slow.
-
-    Raises
-    ------
-    AssertionError
-        If the comment of any file does not say why, or has a field that is not in `FIELDS`.
+    Each is a `HardScene`; a file with "slow: yes" is marked slow.  A comment that does not say why
+    its scene is hard, or has a field that is not in `FIELDS`, fails.
     """
     parameters = []
     for path in sorted(HARD_SCENES.glob("*.xml")):
@@ -111,18 +76,8 @@ def hard_scenes(field: str) -> list:
 
 
 def small_scene(name: str, width: int = 48, height: int = 27) -> Scene:
-    """Read a scene of this project, and make its picture small.
+    """Read a scene of this project by its name, and make its picture small.
 
-    Parameters
-    ----------
-    name : str
-        Name of the scene: that of its file without ".xml".
-    width, height : int
-        Size of the picture, in pixels.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.  Its window has the height in the file, and a width that makes pixels square.
+    Its window has the height in the file, and a width that makes pixels square.
     """
     return copy_with_picture_size(load_scene(SCENES / f"{name}.xml"), width, height)

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from typing import Annotated as Shaped
 
 import numpy as np
 import pytest
@@ -53,12 +54,12 @@ WALL = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
 
 
 @cache
-def uniform_grid(scene: Scene, per_side: int) -> Floats:
+def uniform_grid(scene: Scene, per_side: int) -> Shaped[Floats, "height width 3"]:
     """Render a scene with a uniform grid of per_side x per_side samples in each pixel."""
     return render_supersampled(scene, per_side)
 
 
-def reference_picture(scene: Scene) -> Floats:
+def reference_picture(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """Compute the mean radiance of pixels (height, width, 3): certified, or by a fine grid."""
     try:
         certified = certify(scene, CERTIFIED_ERROR)
@@ -73,14 +74,7 @@ def assert_no_worse_than_grid(
 ) -> None:
     """Assert that pictures of a scene are at least as accurate as those of a uniform grid.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    error_factor : float
-        The largest error may be this many times that of the grid.  The RMSE must not be larger.
-    sample_counts : iterable of int
-        Numbers of samples per pixel, for both pictures.
+    The largest error may be `error_factor` times that of the grid; the RMSE must not be larger.
     """
     truth = reference_picture(scene)
     for samples in sample_counts:

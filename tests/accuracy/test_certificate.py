@@ -36,17 +36,13 @@ Patch = pytest.MonkeyPatch
 
 
 class EnclosureSampler:
-    """A comparison of all enclosures of radiance with samples at random points of each cell.
+    """A comparison of all enclosures of radiance with samples at random points of each cell."""
 
-    Attributes
-    ----------
-    max_excess : float
-        Maximum of a sample's error minus the bound on it.  The bound is the sum of the enclosure's
-        maximum deviation, the region's sample error, and the jumps of all strips that contain the
-        point.
-    sample_count : int
-        Number of samples.
-    """
+    # Maximum of a sample's error minus the bound on it.  The bound is the sum of the enclosure's
+    # maximum deviation, the region's sample error, and the jumps of all strips that contain the
+    # point.
+    max_excess: float
+    sample_count: int
 
     def __init__(self, monkeypatch: Patch) -> None:
         self.max_excess, self.sample_count, self.rng = -np.inf, 0, np.random.default_rng(0)

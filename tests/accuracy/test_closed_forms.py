@@ -30,31 +30,15 @@ AXES = np.eye(3)
 
 
 class Ray(NamedTuple):
-    """A scene that one ray hits, and the expected radiance of this ray.
-
-    Attributes
-    ----------
-    name : str
-        Name of the test.
-    eye, direction : tuple of three floats
-        The ray.
-    lights : tuple or list of PointLight
-        The lights; a tuple is the position of one white light.
-    surfaces : list of Sphere and Box
-        The surfaces.
-    radiance : float or list of three floats
-        Expected radiance; a float counts for all channels.
-    tolerance : float
-        Maximum error of the radiance.  Radiance that should be 0 must be 0 exactly.
-    """
+    """A scene that one ray hits, and the expected radiance of this ray."""
 
     name: str
     eye: tuple
     direction: tuple
-    lights: tuple | list
+    lights: tuple | list  # a tuple is the position of one white light
     surfaces: list
-    radiance: float | list[float]
-    tolerance: float = 4 * EPS
+    radiance: float | list[float]  # a float counts for all channels
+    tolerance: float = 4 * EPS  # of the radiance; radiance that should be 0 must be 0 exactly
 
 
 def gray_phong(specular: float, exponent: float, diffuse: float = 0) -> Phong:

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise, product
 from time import process_time, sleep
+from typing import Annotated as Shaped
 from unittest.mock import patch
 
 import numpy as np
@@ -36,7 +37,7 @@ from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
 
-def render_by_brute_force(scene: Scene) -> Floats:
+def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """Render a scene by testing every ray, and every segment to a light, with every object.
 
     The arithmetic is that of the tracer, so the picture must be the same to the last bit.
@@ -89,7 +90,7 @@ def assert_unchanged(scene: Scene) -> None:
 
 
 @np.errstate(all="ignore")
-def render_scattered(scene: Scene) -> Floats:
+def render_scattered(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """Render a scene from scattered samples, in pixels up to eight times as large."""
     factor = math.gcd(scene.width, scene.height, 8)  # a power of two changes no bit of a ray
     coarse_scene = replace(scene, width=scene.width // factor, height=scene.height // factor)
@@ -270,21 +271,10 @@ def test_a_ball_that_touches_the_eye_from_behind_is_not_visible():
 
 
 def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> list[int]:
-    """Record the sizes of the batches that a generator function yields.
+    """Record the sizes of the batches that a generator function of a module or a class yields.
 
-    Parameters
-    ----------
-    monkeypatch : pytest.MonkeyPatch
-        Replaces the function until the end of the test.
-    owner : object
-        The module or class that contains the function.
-    name : str
-        Name of the function, which yields arrays, or tuples of arrays of the same length.
-
-    Returns
-    -------
-    sizes : list of int
-        Number of items in each batch; the list grows when the function is called.
+    A batch is an array, or a tuple of arrays of the same length.  The list of sizes, which is
+    returned, grows whenever the function is called during the test.
     """
     sizes, original = [], getattr(owner, name)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
 from random import Random
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -35,21 +36,12 @@ _PERTURBATIONS = ((1e-3, 0, 1e-12), (-5e-4, 9e-4, -1e-12), (-5e-4, -9e-4, 1e-15)
 
 
 class Comparison(NamedTuple):
-    """The n pixels of a picture, row by row, compared with the oracle.
+    """The n pixels of a picture, row by row, compared with the oracle."""
 
-    Attributes
-    ----------
-    exact_rays : plain.TracedRays
-        The visible surface, lights and radiance of each pixel, according to the oracle.
-    error : (n,) float array
-        Largest absolute error of the three channels.
-    is_certain : (n,) bool array
-        Whether perturbations change neither the visible surface nor the lights that reach it.
-    """
-
-    exact_rays: plain.TracedRays
-    error: Floats
-    is_certain: Bools
+    exact_rays: plain.TracedRays  # of the oracle
+    error: Shaped[Floats, "n"]  # largest absolute error of the three channels
+    # Perturbations change neither the visible surface nor the lights that reach it.
+    is_certain: Shaped[Bools, "n"]
 
     def describe_wrong_pixels(self, tolerance: float) -> str:
         """Describe the certain pixels whose error exceeds a tolerance, one per line."""
@@ -58,7 +50,7 @@ class Comparison(NamedTuple):
         return "\n".join(f"pixel {i}: {self.error[i]}, {surface_index[i]}" for i in index)
 
 
-def compare(scene: Scene, image: Floats | None = None) -> Comparison:
+def compare(scene: Scene, image: Shaped[Floats, "height width 3"] | None = None) -> Comparison:
     """Compare an image of a scene, by default the tracer's, with the oracle."""
     image = render(scene) if image is None else image
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5

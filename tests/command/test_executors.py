@@ -47,13 +47,8 @@ class WaitingExecutor(Executor):
 def start_executor(kind: str, stack: ExitStack) -> Executor:
     """Start an executor with two workers; it is shut down when `stack` is closed.
 
-    Parameters
-    ----------
-    kind : str
-        "threads", "command" (the pool of the command), "loky", "dask", or the start method of a
-        ProcessPoolExecutor.
-    stack : ExitStack
-        Receives the call that shuts the executor down.
+    The kind is "threads", "command" (the pool of the command), "loky", "dask", or the start method
+    of a ProcessPoolExecutor.
     """
     if kind == "threads":
         return stack.enter_context(Threads(2))
@@ -111,13 +106,7 @@ def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
 
 
 def end_with(value: object) -> Callable[[Future[Any]], None]:
-    """Return a function that ends a future with a result or an exception.
-
-    Parameters
-    ----------
-    value : object
-        The result or the exception.
-    """
+    """Return a function that ends a future with this result or exception."""
     if isinstance(value, BaseException):
         return lambda future: future.set_exception(value)
     return lambda future: future.set_result(value)

@@ -114,15 +114,13 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
 
     Parameters
     ----------
-    command : str
+    command
         A key of `COMMANDS`.
-    moment : float
+    moment
         Seconds after which the command is interrupted.
-    number : int
+    number
         Determines the signal, how often it is sent, and whether all processes of the command
         receive it.
-    folder : Path
-        The working folder.
     """
     before = set(folder.rglob("*"))
     process = start(command, folder)

@@ -9,6 +9,7 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Annotated as Shaped
 
 import drjit as dr
 import numpy as np
@@ -77,7 +78,7 @@ def test_a_wrong_camera_is_detected(monkeypatch, check_flavour, camera, name):
     assert check_flavour(scene, name).verdict == "DIFFERS"
 
 
-def boxes_shifted(scene: Scene) -> Floats:
+def boxes_shifted(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """Render a scene of boxes with all boxes one unit to the right."""
     offset = np.array([1, 0, 0])
     boxes = [replace(b, min_pt=b.min_pt + offset, max_pt=b.max_pt + offset) for b in scene.surfaces]

@@ -18,8 +18,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 FOLDERS = ("tracer", "converters", "reference", "tests")
-# Maximum lines of code in a module and in a function.
-MAX_MODULE_LINES, MAX_FUNCTION_LINES = 300, 45
+# Maximum lines of code in a module.
+MAX_MODULE_LINES = 300
+
+# Maximum lines of code in a function.
+MAX_FUNCTION_LINES = 45
+
 # Maximum number of modules of the tracer in a chain in which each imports the next.
 MAX_DEPTH = 16
 
@@ -32,36 +36,18 @@ NO_CODE = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
 
 
 class Module(NamedTuple):
-    """A module of the project, parsed.
-
-    Attributes
-    ----------
-    tree : ast.Module
-        The syntax tree.
-    code_lines : set of int
-        The line numbers of all lines of code.
-    imports : set of str
-        Every `module` and `module.name` that the module imports, also inside functions.
-    """
+    """A module of the project, parsed."""
 
     tree: ast.Module
-    code_lines: set[int]
-    imports: set[str]
+    code_lines: set[int]  # the line numbers of all lines of code
+    imports: set[str]  # every `module` and `module.name`, also those imported inside functions
 
 
 @cache
 def parse_folder(folder: str) -> dict[str, Module]:
-    """Parse all modules in a folder and its subfolders.
+    """Parse all modules in a folder of the project and its subfolders.
 
-    Parameters
-    ----------
-    folder : str
-        Name of a folder in the root of the project.
-
-    Returns
-    -------
-    modules : dict of str to Module
-        The modules by their names, such as "tracer.scene.model".
+    The keys are names such as "tracer.scene.model".
     """
     paths = sorted((ROOT / folder).rglob("*.py"))
     names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
@@ -71,7 +57,8 @@ def parse_folder(folder: str) -> dict[str, Module]:
 def parse_module(path: Path) -> Module:
     """Parse a Python file, find its lines of code, and collect the names that it imports."""
     source = path.read_text(encoding="utf-8")
-    tree, code_lines = ast.parse(source), set[int]()
+    tree = ast.parse(source)
+    code_lines = set[int]()
     for token in generate_tokens(io.StringIO(source).readline):
         if token.type not in NO_CODE:
             code_lines |= {*range(token.start[0], token.end[0] + 1)}
@@ -83,27 +70,15 @@ def parse_module(path: Path) -> Module:
             code_lines -= {*range(node.lineno + 1, node.body[0].lineno)}
         elif isinstance(node, ast.AnnAssign):
             code_lines -= {*range(node.lineno + 1, (node.end_lineno or 0) + 1)}
-    return Module(tree, code_lines, imported_names(tree))
+    return Module(tree=tree, code_lines=code_lines, imports=imported_names(tree))
 
 
 def imported_names(tree: ast.Module) -> set[str]:
     """Return the names of all modules, and of all objects in them, that a module imports.
 
-    Parameters
-    ----------
-    tree : ast.Module
-        The syntax tree of the module.  Imports inside functions are included, and so are constant
-        arguments of `import_module` and `run`.
-
-    Returns
-    -------
-    names : set of str
-        For "from package.module import name": "package.module" and "package.module.name".
-
-    Raises
-    ------
-    AssertionError
-        If the module contains a relative import.
+    For "from package.module import name", they are "package.module" and "package.module.name".
+    Imports inside functions are included, and so are constant arguments of `import_module` and
+    `run`.  A relative import fails.
     """
     names: set[str] = set()
     for node in ast.walk(tree):
@@ -130,14 +105,9 @@ def test_no_function_and_no_module_is_too_long() -> None:
 
 
 def layer_height(module: str) -> int:
-    """Return the height of the layer to which a module belongs.
+    """Return the height, from 0, of the layer to which a module belongs.
 
-    A module may import modules of its own layer and of lower layers.  The lowest height is 0.
-
-    Parameters
-    ----------
-    module : str
-        Name of the module, such as "tracer.scene.model".
+    A module may import modules of its own layer and of lower layers.
     """
     package, *inner_names = module.split(".")
     if package != "tracer":
