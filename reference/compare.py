@@ -18,7 +18,7 @@ from __future__ import annotations
 from tracer.command.process import run
 
 if __name__ == "__main__":
-    run(__spec__.name)
+    run(__spec__.name)  # before the other imports: see tracer/command/process.py
 
 import argparse
 import os

@@ -63,7 +63,8 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     FileExistsError
         If a file of another kind exists at `path`.  This is a subclass of OSError.
     """
-    target_path, old_mode = os.path.realpath(path), None
+    target_path = os.path.realpath(path)
+    old_mode: int | None = None
     with suppress(FileNotFoundError):
         old_mode = os.stat(target_path).st_mode
         if not stat.S_ISREG(old_mode):
@@ -89,6 +90,9 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     except BaseException as error:
         if isinstance(error, OSError) and error.filename == part_path:
             error.filename = target_path
+            if isinstance(error, FileNotFoundError) and not os.path.lexists(folder):
+                given_folder = "" if os.path.islink(path) else os.path.dirname(path)
+                error.strerror = f"the folder {given_folder or folder} does not exist"
         with suppress(OSError):
             os.unlink(part_path)
         raise

@@ -1,12 +1,13 @@
 """The command line as a process that a user starts, and how all commands start."""
 
+import fcntl
 import os
 import pickle
 import re
-import signal
-import sys
+import struct
+import termios
+from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -14,13 +15,13 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from running import ROOT, SCENE, file_names, run, start_process, write_ball
+from running import ROOT, SCENE, file_names, run, write_ball
 
 import tracer
 from converters import to_mitsuba
 from reference import compare
 from tracer import SceneFileError
-from tracer.command import cli
+from tracer.command import cli, progress
 from tracer.command.batch import read_scene
 from tracer.command.failure import Failure, errors_as_failure
 
@@ -252,43 +253,36 @@ def test_standard_input_and_output(scene):
     assert file_names(scene.parent) == ["ball.xml.png"]
 
 
-def test_watch(scene):
-    """Files are saved, are wrong, are corrected, are replaced, are removed."""
-    missing = scene.with_name("missing.xml")
-    other = write_ball(scene.with_name("other.xml"), 3, 3)
-    with start_process(scene, other, missing, "--watch") as process:
-        out, err = process.stdout, process.stderr
-        assert err.readline() == "watching 3 scenes; press Ctrl-C to end\n"
-        assert err.readline().startswith(f"{missing}: cannot be read: ")
-        assert "ball.xml.png: 40 x 30" in out.readline()
-        assert "other.xml.png: 3 x 3" in out.readline()
-        write_ball(other, 5, 5)
-        assert "other.xml.png: 5 x 5" in out.readline()
-        scene.write_text("<scene>")
-        assert "ball.xml:1: " in err.readline()
-        write_ball(scene.with_name("new"), 8, 6).replace(scene)
-        assert "ball.xml.png: 8 x 6" in out.readline()
-        other.unlink()
-        line = err.readline()
-        while "other.xml: cannot be read" not in line:
-            assert "ball.xml:" in line  # more errors of the version that was wrong
-            line = err.readline()
-        process.send_signal(signal.SIGINT)
-        assert (process.wait(), out.read(), err.read()) == (130, "", "")
+@pytest.mark.parametrize("columns", [0, 60])
+def test_the_bar_fits_terminals_and_those_that_do_not_know_their_width(columns, monkeypatch):
+    monkeypatch.setattr(progress, "perf_counter", iter(range(0, 1000, 10)).__next__)
+    controller, terminal = os.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    with os.fdopen(terminal, "w") as stream:
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress.Progress(4, "parts") as bar:
+            bar.update(3, "a note")
+    shown = ""
+    with os.fdopen(controller, "rb", buffering=0) as screen, suppress(OSError):  # at its end
+        while data := screen.read(1000):
+            shown += data.decode()
+    assert "75%|" in shown
+    width = columns or 80
+    assert width - 1 <= max(map(len, shown.split("\r"))) <= width
 
 
-def test_watch_waits_until_a_file_is_complete(scene, monkeypatch):
-    """An editor may write a file in pieces, each after a check of the file."""
-    old, rendered = scene.read_text(), []
-    new = old + "\n"
-    steps = [partial(scene.write_text, text) for text in (new[:20], new[:40], new)]
-    following = iter([*steps, dict, dict, sys.exit])
-    monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
-    read_all = lambda _, jobs: rendered.extend(Path(job.scene_path).read_text() for job in jobs)  # noqa: E731
-    monkeypatch.setattr(cli.Batch, "render", read_all)
-    with pytest.raises(SystemExit):
-        cli.main([str(scene), "--watch"])
-    assert rendered == [old, new]
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (0, "0 pixels"),
+        (11_520, "11,520 pixels"),
+        (999_999, "999,999 pixels"),
+        (1_000_000, "1.0 million pixels"),
+        (2_345_678_901, "2,345.7 million pixels"),
+    ],
+)
+def test_numbers_of_pixels_can_be_read(count, text):
+    assert progress.format_pixel_count(count) == text
 
 
 def test_a_small_picture_imports_no_module_that_it_does_not_need(scene):

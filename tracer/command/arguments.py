@@ -17,14 +17,9 @@ OUTPUT_REMEDY = "choose another with -o"
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A command-line parser whose help is the docstring of a module.
+    """A command-line parser whose help is the docstring of a module that has been imported.
 
-    Parameters
-    ----------
-    module_name : str
-        Full name of the command's module, which has been imported.
-    prog : str, optional
-        How users call the command; by default, ``python -m MODULE_NAME``.
+    `prog` is how users call the command; by default, ``python -m MODULE_NAME``.
     """
 
     def __init__(self, module_name: str, prog: str | None = None) -> None:
@@ -44,12 +39,10 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print an error about wrong usage, and end the process with exit status 2.
 
-        Parameters
-        ----------
-        message : str
-            What is wrong.  Unprintable characters are escaped.  If an argument that begins with "-"
-            may be the cause, a suggested fix is added.
+        A suggested fix is added if an option is misspelt, or an argument begins with "-".
         """
+        unknown = message.partition("unrecognized arguments: ")[2].split()
+        message += "".join(map(self._suggest_option, unknown))
         if message.endswith("expected one argument"):
             message += "; if the value begins with -, write OPTION=VALUE"
         for argument in sys.argv[1:]:
@@ -57,47 +50,27 @@ class CommandParser(argparse.ArgumentParser):
                 message += f"; for the file named {argument}, write ./{argument}"
         super().error(make_printable(message))
 
+    def _suggest_option(self, argument: str) -> str:
+        """Return a suggested fix for an unknown option, such as "; did you mean --size?", or ""."""
+        from difflib import get_close_matches  # only now, because the import takes milliseconds
+
+        if not argument.startswith("--"):
+            return ""
+        matches = get_close_matches(argument.partition("=")[0], self._option_string_actions, n=1)
+        return f"; did you mean {matches[0]}?" if matches else ""
+
 
 def check_path(argument: str) -> str:
-    """Check that a path given on the command line is not empty, and return it.
-
-    Parameters
-    ----------
-    argument : str
-        The command-line argument.
-
-    Returns
-    -------
-    path : str
-        The argument, unchanged.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the argument is empty.
-    """
+    """Return a path given on the command line; raise ArgumentTypeError if it is empty."""
     if not argument:
         raise argparse.ArgumentTypeError("the name is empty; name a file")
     return argument
 
 
 def parse_positive_int(argument: str) -> int:
-    """Convert a command-line argument to an integer from 1 to 999,999,999.
+    """Convert one to nine ASCII digits, of which the first is not 0, to an integer.
 
-    Parameters
-    ----------
-    argument : str
-        The command-line argument.
-
-    Returns
-    -------
-    number : int
-        The integer.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the argument is not one to nine ASCII digits, or the first digit is 0.
+    Raise ArgumentTypeError if the argument is anything else.
     """
     if not re.fullmatch("[1-9][0-9]{0,8}", argument):
         rule = "must be a whole number from 1 to 999999999"
@@ -113,17 +86,8 @@ def is_folder(path: str) -> bool:
 def make_output_folder(output: str | None) -> None:
     """Create the output folder if the option -o ends in a slash and the folder does not exist.
 
-    Missing parent folders are created, too.  Without the slash, nothing happens.
-
-    Parameters
-    ----------
-    output : str or None
-        The value of the option -o; None if the option was not given.
-
-    Raises
-    ------
-    Failure
-        If the folder cannot be created, for example because a file of that name exists.
+    Missing parent folders are created, too.  Without the slash, or the option, nothing happens.
+    Raise Failure if the folder cannot be created, for example because a file of that name exists.
     """
     if output is not None and is_folder(output):
         with errors_as_failure(output, "written", OUTPUT_REMEDY):
@@ -133,17 +97,8 @@ def make_output_folder(output: str | None) -> None:
 def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     """Return the absolute path of a file, in which all symbolic links are resolved.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Path of the file, which need not exist.
-    exit_status : int
-        Exit status of the command if the path cannot be resolved.
-
-    Raises
-    ------
-    Failure
-        If the path is relative, and the working folder has been deleted.
+    The file need not exist.  Raise Failure, with the given exit status, if the path is relative and
+    the working folder has been deleted.
     """
     subject, remedy = "the working folder", "change to another"
     with errors_as_failure(subject, "found", remedy, exit_status=exit_status):
@@ -159,32 +114,20 @@ def choose_output_paths(
 ) -> list[str]:
     """Choose the path of each scene's result, and refuse to overwrite scenes or other results.
 
+    The parser ends the process with an error if a result would replace a scene or another result,
+    or if `output` is a file but there are several scenes.  Raise Failure if the working folder has
+    been deleted.
+
     Parameters
     ----------
-    parser : CommandParser
-        The command's parser.  It ends the process with an error if a result would replace a scene
-        or another result, or if `output` is a file but there are several scenes.
-    scenes : sequence of str
-        Paths of the scene files.
-    output : str or None
+    output
         The value of the option -o: a file, or a folder for the results of several scenes.  None if
         the option was not given.
-    default_paths : sequence of str
+    default_paths
         For each scene, the path of its result if the option -o was not given.  If the option names
         a folder, only the file name of this path is used.
-    list_files : callable
-        Function that takes the path of a result and returns the paths of all its files.  By
-        default, a result is a single file.
-
-    Returns
-    -------
-    result_paths : list of str
-        For each scene, the path of its result.
-
-    Raises
-    ------
-    Failure
-        If the working folder has been deleted.
+    list_files
+        Lists all files of the result at a path.  By default, a result is a single file.
     """
     if output is None:
         result_paths = list(default_paths)
@@ -196,7 +139,8 @@ def choose_output_paths(
         parser.error(
             f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
         )
-    scene_paths, scene_of_file = {resolve_path(scene) for scene in scenes}, dict[str, str]()
+    scene_paths = {resolve_path(scene) for scene in scenes}
+    scene_of_file = dict[str, str]()
     for scene, result_path in zip(scenes, result_paths, strict=True):
         for path in list_files(result_path):
             absolute_path = resolve_path(path)

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import end_on_signals, print_line
-from tracer.command.progress import Progress
+from tracer.command.progress import Progress, format_pixel_count
 from tracer.files import (
     get_part_prefix,
     open_atomically,
@@ -217,7 +217,7 @@ class Batch:
 
         The fraction is from 0 to 1.
         """
-        note = f"{(self._pixel_count + rendered_pixel_count) / 1e6:.3g} million pixels"
+        note = format_pixel_count(self._pixel_count + rendered_pixel_count)
         self._progress.update(self._finished_count + rendered_fraction, note)
 
 

@@ -15,7 +15,7 @@ exit status:
   1    a scene could not be read, rendered or written; all others were rendered
   2    wrong usage
   130  interrupted
-  141  the reader of standard output went away
+  141  nobody reads the picture or the explanation on standard output
 """
 
 from __future__ import annotations
@@ -23,11 +23,14 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import stat
 import sys
+import zlib
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
 from importlib import import_module
-from time import sleep
+from time import monotonic, sleep
 
 from tracer.command.arguments import (
     CommandParser,
@@ -42,6 +45,7 @@ from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_or_raise
 from tracer.messages import make_printable
 from tracer.picture.parallel import count_processors
+from tracer.scene.elements import MAX_BYTES
 from tracer.version import __version__
 
 _HELP = {
@@ -50,7 +54,8 @@ _HELP = {
     " scenes, which is created if it is missing and PATH ends in /",
     "format": "format of the pictures: png (8-bit codes), npy (linear radiance, float64) or exr"
     " (linear radiance, float32); default: as the name of -o, otherwise png",
-    "samples": "smooth edges as accurately as N samples per pixel (default: 1, the pixel's centre)",
+    "samples": "smooth edges as accurately as N samples per pixel would; 4 to 16 are enough for"
+    " most pictures (default: 1, the pixel's centre)",
     "size": "width and height of the pictures in pixels; without xH, in the file's proportions",
     "watch": "render again whenever a scene file is saved",
     "processes": "maximum number of processes that render (default: one for each processor)",
@@ -60,6 +65,10 @@ _HELP = {
 
 # Seconds between two checks of the scene files, with --watch.
 _POLL_SECONDS = 0.1
+
+# Seconds after a save in which another save may leave the same time in the file, so that only its
+# content shows it.  The coarsest times are those of FAT, 2 seconds; the rest is a margin.
+_TIME_RESOLUTION_SECONDS = 3.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -85,6 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         If the working folder has been deleted, or the folder for the pictures cannot be created.
     """
     parser = _make_parser()
+    _check_size(parser, sys.argv[1:] if argv is None else argv)
     arguments = parser.parse_args(argv)
     if arguments.pixel is not None:
         return _explain_pixels(parser, arguments)
@@ -102,7 +112,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_parser() -> CommandParser:
-    """Create the command-line parser of ``tracer``, with all options and their help texts."""
     parser = CommandParser(__name__, prog="tracer")
     add_argument = parser.add_argument
     size_pattern = "([1-9][0-9]{0,8})(?:x([1-9][0-9]{0,8}))?"
@@ -129,19 +138,15 @@ def _make_parser() -> CommandParser:
 def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
     """Make a function that extracts the integers from an argument such as "640x360".
 
+    The function raises ArgumentTypeError if the argument is not valid.
+
     Parameters
     ----------
-    pattern : str
+    pattern
         Regular expression for valid arguments.  Each group matches the digits of an integer, or
         nothing.
-    rule : str
+    rule
         Description of valid arguments, which follows "must be" in the error message.
-
-    Returns
-    -------
-    parse : callable
-        Function that takes a command-line argument and returns a tuple of ints.  It raises
-        argparse.ArgumentTypeError if the argument is not valid.
     """
 
     def parse(argument: str) -> tuple[int, ...]:
@@ -153,21 +158,19 @@ def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]
     return parse
 
 
+def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
+    """End the process with a suggested fix for ``--size 400 300``, whose 300 looks like a scene."""
+    for option, width, height in zip(argv, argv[1:], argv[2:], strict=False):
+        if option == "--size" and f"{width}{height}".isdecimal() and not os.path.exists(height):
+            size = f"{width}x{height}"
+            parser.error(f"--size {width} {height}: a size is one argument; write {size}")
+
+
 def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
     """Choose the picture format from the option --format, or the suffix of the file named by -o.
 
-    Parameters
-    ----------
-    parser : CommandParser
-        Prints an error and ends the process with exit status 2 if the suffix is unknown or
-        contradicts the option --format.
-    arguments : Namespace
-        The parsed arguments of the command.
-
-    Returns
-    -------
-    file_format : str
-        A key of `FORMATS`.  If neither option determines the format, "png".
+    If neither option determines the format, it is "png".  If the suffix is unknown or contradicts
+    the option --format, the parser ends the process with an error.
     """
     output = arguments.output or ""
     valid_formats = [arguments.format] if arguments.format else list(FORMATS)
@@ -181,28 +184,12 @@ def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
 
 
 def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
-    """List the scenes to render, each with the path of its picture.
+    """List the scenes to render, each with the path of its picture, in the order of the arguments.
 
-    Parameters
-    ----------
-    parser : CommandParser
-        Prints an error and ends the process with exit status 2 if the arguments contradict each
-        other, or a picture would replace a scene or another picture.
-    arguments : Namespace
-        The parsed arguments of the command.
-    file_format : str
-        Format of the pictures: a key of `FORMATS`.  Without the option -o, the format is added to
-        the name of the scene file, as in SCENE.xml.png.
-
-    Returns
-    -------
-    jobs : list of Job
-        One job for each scene, in the order of the arguments.
-
-    Raises
-    ------
-    Failure
-        If the working folder has been deleted.
+    Without the option -o, the format is added to the name of the scene file, as in SCENE.xml.png.
+    If the arguments contradict each other, or a picture would replace a scene or another picture,
+    the parser ends the process with an error.  Raise Failure if the working folder has been
+    deleted.
     """
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     for scene in scenes:
@@ -232,20 +219,8 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
     """Print, for each scene, how the colour of the requested pixel is computed.
 
-    If this fails for a scene, an error is printed, and the other scenes are still explained.
-
-    Parameters
-    ----------
-    parser : CommandParser
-        Prints an error and ends the process with exit status 2 if the option --pixel is combined
-        with an option that is only for pictures.
-    arguments : Namespace
-        The parsed arguments of the command.
-
-    Returns
-    -------
-    exit_status : int
-        0, or 1 if the pixel of a scene could not be explained.
+    If this fails for a scene, an error is printed, the other scenes are still explained, and the
+    exit status that is returned is 1.
     """
     if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
         parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
@@ -269,31 +244,19 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
 def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     """Render all scenes, and render each of them again whenever its file changes.
 
-    Parameters
-    ----------
-    jobs : sequence of Job
-        The scene files, each with the path of its picture.
-    batch : Batch
-        Renders the scenes and prints a line for each.
-    quiet : bool
-        Whether to print only errors.  If so, this function never returns.
-
-    Returns
-    -------
-    exit_status : int
-        0, once standard output is closed, for example because its reader has gone away.
+    Return 0 once standard output is closed because nobody reads it: never if `quiet`.
     """
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scenes_text}; press Ctrl-C to end")
-    old_versions = {job: _get_file_version(job.scene_path) for job in jobs}
-    rendered_versions = dict[Job, object]()
+    old_versions = {job: _read_version(job.scene_path, None) for job in jobs}
+    rendered_versions = dict[Job, _FileVersion]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
-        versions = {job: _get_file_version(job.scene_path) for job in jobs}
+        versions = {job: _read_version(job.scene_path, old_versions[job]) for job in jobs}
         # An editor may write a file in pieces, so wait until it stops changing.
         stable_versions = {job: versions[job] for job in jobs if versions[job] == old_versions[job]}
         changed_jobs = [
-            job for job in stable_versions if (job, versions[job]) not in rendered_versions.items()
+            job for job in stable_versions if stable_versions[job] != rendered_versions.get(job)
         ]
         old_versions = versions
         rendered_versions |= stable_versions
@@ -303,13 +266,31 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     return 0
 
 
-def _get_file_version(path: str) -> tuple[int, int, int] | None:
-    """Return the modification time, size and inode number of a file, to detect changes.
+@dataclass(frozen=True)
+class _FileVersion:
+    """A version of a scene file.  Two are equal if the file has not been saved between them."""
 
-    If the file cannot be accessed, return None.
-    """
-    try:
-        file_status = os.stat(path)
-    except OSError:
-        return None
-    return file_status.st_mtime_ns, file_status.st_size, file_status.st_ino
+    # Modification time, size and inode number; None if the file cannot be accessed.
+    status: tuple[int, int, int] | None
+    checksum: int  # of the content
+    first_seen: float = field(compare=False)  # time of `monotonic` when the status was first seen
+    is_settled: bool = field(compare=False)  # whether every later save has another status
+
+
+def _read_version(path: str, previous: _FileVersion | None) -> _FileVersion:
+    """Read the version of a file, given the one that was read before."""
+    now, status, is_readable = monotonic(), None, False
+    with suppress(OSError):
+        result = os.stat(path)
+        status = result.st_mtime_ns, result.st_size, result.st_ino
+        is_readable = stat.S_ISREG(result.st_mode) and result.st_size <= MAX_BYTES
+    if previous is None or previous.status != status:
+        previous = _FileVersion(status, checksum=0, first_seen=now, is_settled=False)
+    elif previous.is_settled:
+        return previous
+    checksum = 0
+    if is_readable:
+        with suppress(OSError), open(path, "rb") as file:
+            checksum = zlib.crc32(file.read())
+    is_settled = now - previous.first_seen > _TIME_RESOLUTION_SECONDS
+    return replace(previous, checksum=checksum, is_settled=is_settled)

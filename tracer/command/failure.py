@@ -18,19 +18,12 @@ _NO_MEMORY = "not enough memory"
 
 
 class Failure(Exception):  # noqa: N818
-    """The failure of a task.  Its `str` is the line for the user: ``SUBJECT: PROBLEM; REMEDY``.
+    """The failure of a task.  Its `str` is the line for the user: ``SUBJECT: PROBLEM; REMEDY``."""
 
-    Parameters
-    ----------
-    subject : str
-        Name of the file, folder or stream concerned.  If empty, the line is ``PROBLEM; REMEDY``.
-    problem : str
-        What failed and why, for example "cannot be written: No space left on device".
-    remedy : str
-        What the user can do about the failure.  If empty, the line is ``SUBJECT: PROBLEM``.
-    exit_status : int
-        Exit status of the command if this is its only failure.
-    """
+    subject: str  # name of the file, folder or stream concerned; may be empty
+    problem: str  # for example "cannot be written: No space left on device"
+    remedy: str  # what the user can do; may be empty
+    exit_status: int  # of the command if this is its only failure
 
     def __init__(self, subject: str, problem: str, remedy: str = "", exit_status: int = 1) -> None:
         super().__init__(subject, problem, remedy, exit_status)  # so that it can be pickled
@@ -55,30 +48,17 @@ def errors_as_failure(
     """Convert errors in a with block to a Failure if their cause is outside the program.
 
     The text of the failure is ``SUBJECT: cannot be PARTICIPLE: reason; REMEDY``.  The text of a
-    SceneFileError is kept, because it contains a complete line for each error in the scene.
+    SceneFileError is kept, because it contains a complete line for each error in the scene.  A
+    BrokenPipeError stays one, because a command must end silently when nobody reads its output.
 
     Parameters
     ----------
-    subject : str or path-like
-        Name of the file or stream that the block uses.
-    participle : str
-        Past participle for the message, for example "read" for "cannot be read".
-    remedy : str
-        What the user can do about the failure, for example "choose another with -o".
-    memory_remedy : str
+    participle
+        For example "written", after "cannot be".
+    memory_remedy
         What the user can do instead if there is not enough memory.
-    exit_status : int
-        Exit status of the command if this is its only failure.
-    error_types : tuple of exception classes
+    error_types
         Classes of errors to convert, in addition to OSError, MemoryError and SceneFileError.
-
-    Raises
-    ------
-    Failure
-        If the block raises an error of one of the classes to convert, or a Failure.
-    BrokenPipeError
-        If the block raises it.  It is not converted, because a command must end silently when the
-        reader of its output has gone away.
     """
     try:
         yield

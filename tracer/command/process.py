@@ -1,6 +1,10 @@
 """Start, interrupt and end the process of a command, and print its lines.
 
-Every command of this project calls `run` first, before it imports anything that takes long.
+Every command of this project calls `run` first, before its other imports.  Importing NumPy and the
+rest takes longer than rendering a small picture, and may fail: `run` must already handle Ctrl-C,
+limit the threads that NumPy starts, and report a missing package in one line.  A module that is
+executed as a command has the name ``__main__``, so it passes ``__spec__.name``: `run` imports it
+again under its own name, and its classes can be pickled.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ _Result = TypeVar("_Result")
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit statuses: a task failed, the usage was wrong, or a signal ended the command."""
 
-# Exit status when the reader of standard output has gone away: that of a program that SIGPIPE ends.
+# Exit status when nobody reads a result on standard output: that of a program that SIGPIPE ends.
 _UNREAD = 141
 
 
@@ -37,15 +41,9 @@ def run(module_name: str) -> NoReturn:
     - 1 if there is not enough memory, or standard output cannot be written;
     - 2 if a package is missing;
     - 130 if a signal ends the command;
-    - 141 if the reader of standard output goes away.
+    - 141 if nobody reads a result that it writes to standard output (a notice may be lost).
 
     A Failure, a missing package or a lack of memory is reported in one line, without a traceback.
-
-    Parameters
-    ----------
-    module_name : str
-        Name of the module.  Its function `main` takes no arguments, and returns an exit status.  If
-        it returns None, the exit status is 0.
     """
     end_on_signals()
     # Starting the threads of OpenBLAS would take as long as rendering a small picture.  NumPy reads
@@ -91,18 +89,6 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 
     A command that processes many files calls this for each file, so that it continues after a
     failure.
-
-    Parameters
-    ----------
-    function : callable
-        The function to call.
-    *arguments : object
-        The arguments of the function.
-
-    Returns
-    -------
-    result : object or Failure
-        The result of the function, or the Failure that it raised.
     """
     try:
         return function(*arguments)
@@ -115,13 +101,6 @@ def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
     Use this for notices: a command must not fail because a notice cannot be printed.
-
-    Parameters
-    ----------
-    stream : text file or None
-        Standard output or standard error; None if it is closed.
-    text : str
-        The line.  Characters that the stream cannot encode are escaped.
     """
     with suppress(OSError):
         print_or_raise(stream, text)
@@ -130,19 +109,10 @@ def print_line(stream: TextIO | None, text: str) -> None:
 def print_or_raise(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown.
 
-    If the line cannot be printed, the stream is closed and an error is raised.
+    Characters that the stream cannot encode are escaped.  If the line cannot be printed, for
+    example because the disk is full, the stream is closed and OSError is raised.
 
-    Parameters
-    ----------
-    stream : text file or None
-        Standard output or standard error; None if it is closed.
-    text : str
-        The line.  Characters that the stream cannot encode are escaped.
-
-    Raises
-    ------
-    OSError
-        If the line cannot be printed, for example because the stream is closed or the disk is full.
+    The stream is None if Python started without it.
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
@@ -161,9 +131,9 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
 def end_on_signals() -> None:
     """Install signal handlers that end this process immediately, without a message.
 
-    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  When one arrives, this process
-    removes its part files (incomplete output files), and ends with exit status 130.  A signal that
-    is already ignored, for example under nohup, stays ignored.
+    When a signal arrives, this process ends its workers, removes its part files (see
+    `tracer.files`), and ends with exit status 130.  A signal that is already ignored, for example
+    under nohup, stays ignored.
     """
     for signal_name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         signal_number = getattr(signal, signal_name, None)  # not all systems have the last three
@@ -172,7 +142,6 @@ def end_on_signals() -> None:
 
 
 def _handle_signal(_signal_number: int, _frame: object) -> NoReturn:
-    """End the workers, remove part files, and exit with the status for an interrupt."""
     # Do not raise KeyboardInterrupt: it would be lost in a finalizer or after a fork, and NumPy or
     # a plugin might turn it into a different error.
     terminate_children()

@@ -5,6 +5,7 @@ While a bar is shown, `tracer.command.process` prints lines above it.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -15,6 +16,10 @@ _Item = TypeVar("_Item")
 
 # Seconds of work before a progress bar is shown.
 _SECONDS_BEFORE_BAR = 1.0
+
+# Width of the bar, in characters, on a terminal that does not know its own: a serial line, or the
+# terminal of some containers and editors, which report a width of 0.
+_DEFAULT_WIDTH = 80
 
 _BAR_FORMAT = (
     "{percentage:3.0f}%|{bar}| {n:g} of {total} {unit} [{elapsed}, {remaining} left{postfix}]"
@@ -27,14 +32,7 @@ class Progress:
     The bar appears at the first update after a second of work.  Use the instance as a context
     manager, which removes the bar at the end.
 
-    Parameters
-    ----------
-    total : int
-        Amount of work, for example the number of pictures.
-    unit : str
-        The unit of `total`, as a noun in the plural, for example "pictures".
-    show : bool
-        If False, no bar is shown.
+    The unit of `total` is a noun in the plural, for example "pictures".
     """
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
@@ -51,15 +49,7 @@ class Progress:
             self._bar.close()
 
     def update(self, finished_work: float, note: str = "") -> None:
-        """Show how much of the work is done.  During the first second of work, nothing is shown.
-
-        Parameters
-        ----------
-        finished_work : float
-            Amount of work done so far, in the unit of `total`.
-        note : str
-            Text to show next to the bar.
-        """
+        """Show how much of the work is done, in the unit of `total`, and a note beside the bar."""
         seconds = perf_counter() - self._start_time
         if self._bar is None and seconds >= _SECONDS_BEFORE_BAR:
             self._bar = self._create_bar(seconds)
@@ -68,41 +58,39 @@ class Progress:
             self._bar.update(round(finished_work, 2) - self._bar.n)
 
     def _create_bar(self, seconds: float) -> Any:
-        """Create a tqdm progress bar.
+        """Create a tqdm progress bar for work that has taken some seconds already.
 
-        Parameters
-        ----------
-        seconds : float
-            Time that the work has taken so far.  The bar shows it as the elapsed time.
-
-        Returns
-        -------
-        bar : tqdm.tqdm or False
-            The bar; False if tqdm is not installed, or its environment variables are invalid.
+        Return False if tqdm is not installed, or its environment variables are invalid.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
 
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
-            bar = tqdm(total=self._total, unit=self._unit, **options)
+            width = None if _get_terminal_width() else _DEFAULT_WIDTH  # None: tqdm asks, too
+            bar = tqdm(total=self._total, unit=self._unit, ncols=width, **options)
             # Count the elapsed time from the start of the work, and show the next update directly.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False
 
 
+def _get_terminal_width() -> int:
+    """Return the number of columns that standard error has, or 0 if the terminal does not say."""
+    with suppress(OSError, ValueError):  # not a terminal, or it has no file descriptor
+        return os.get_terminal_size(sys.stderr.fileno()).columns
+    return 0
+
+
+def format_pixel_count(count: int) -> str:
+    """Format a number of pixels for a reader, as in "11,520 pixels" or "1.2 million pixels"."""
+    return f"{count / 1e6:,.1f} million pixels" if count >= 1_000_000 else f"{count:,} pixels"
+
+
 def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
     """Yield items, and show a progress bar if processing them takes longer than a second.
 
-    Parameters
-    ----------
-    items : iterable
-        The items.  An item counts as finished when the next one is requested.
-    total : int
-        Number of items.
-    unit : str
-        Plural noun for the items, for example "scenes".
+    An item counts as finished when the next one is requested.  See `Progress` for the unit.
     """
     with Progress(total, unit) as progress:
         for finished_count, item in enumerate(items, 1):

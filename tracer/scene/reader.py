@@ -88,7 +88,10 @@ def load_scene(source: FileOrPath) -> Scene:
         reader.errors.append(error.args)
     except OSError as error:
         reason = error.strerror or str(error)
-        reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
+        remedy = "check the path and its permissions"
+        if isinstance(error, FileNotFoundError) and os.path.isfile(f"{file_name}.xml"):
+            remedy = f"did you mean {file_name}.xml?"
+        reader.errors.append((0, f"cannot be read: {reason}; {remedy}"))
     if not reader.errors:
         return reader.make_scene()
     # `make_printable` escapes line breaks and control characters, which may come from the file.
