@@ -92,6 +92,16 @@ def test_surfaces_are_equal_as_sequences_are():
     assert Surfaces() == Surfaces()
 
 
+def test_scalars_of_numpy_are_stored_as_floats() -> None:
+    """Type checkers accept these arguments, too."""
+    camera = Camera(proj_distance=np.float32(1.5), view_width=np.int64(2), view_height=3)
+    sphere, shader = Sphere(radius=np.float32(0.5)), Phong(exponent=np.int8(9))
+    numbers = camera.proj_distance, camera.view_width, camera.view_height
+    numbers = *numbers, sphere.radius, shader.exponent
+    assert numbers == (1.5, 2, 3, 0.5, 9)
+    assert {type(number) for number in numbers} == {float}
+
+
 # Files
 
 

@@ -74,8 +74,8 @@ class Exposure(NamedTuple):
 def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
-    A warning is one line: what looks wrong, where, and a suggested fix.  Of each cause, only the
-    first case is reported.
+    A warning is one line: what looks wrong, where, and a suggested fix.  Of several equal mistakes,
+    the first is reported.
 
     Parameters
     ----------

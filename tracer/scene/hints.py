@@ -130,7 +130,7 @@ def _find_syntax_remedy(message: str, line: int, before: bytes, after: bytes) ->
 
 
 class Suggestion(NamedTuple):
-    """What to write in place of an unknown name."""
+    """A suggestion that replaces an unknown name."""
 
     remedy: str  # the suggested fix
     name: str | None  # the name that was probably meant; None if this is unclear

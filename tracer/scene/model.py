@@ -311,7 +311,7 @@ Kind: TypeAlias = type[Sphere] | type[Box]
 _LIST_METHODS = frozenset(
     ("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort")
 )
-# What to write in their place.
+# The suggestion in messages about these methods.
 _CHANGE_REMEDY = "make a new scene: dataclasses.replace(scene, surfaces=[*scene.surfaces, x])"
 
 
