@@ -92,6 +92,16 @@ def test_surfaces_are_equal_as_sequences_are():
     assert Surfaces() == Surfaces()
 
 
+def test_surfaces_have_the_order_of_the_objects():
+    objects = [
+        Box(min_pt=(0, 0, 0), max_pt=(k, k, k)) if k % 3 else Sphere(radius=k + 1) for k in range(7)
+    ]
+    surfaces = Surfaces.from_objects(objects)
+    assert list(surfaces) == objects
+    assert [surfaces[k] for k in range(-7, 7)] == objects * 2
+    assert surfaces[5:1:-2] == tuple(objects[5:1:-2])
+
+
 def test_scalars_of_numpy_are_stored_as_floats() -> None:
     """Type checkers accept these arguments, too."""
     camera = Camera(proj_distance=np.float32(1.5), view_width=np.int64(2), view_height=3)

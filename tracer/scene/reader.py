@@ -39,6 +39,9 @@ _MAX_SEARCHES = 32
 # Maximum number of words that are checked one by one in an element with invalid numbers.
 _MAX_CHECKED_WORDS = 64
 
+# Matches a width and a height, with few enough digits for int().
+_match_size = re.compile(r"\s*([-+]?\d{1,18})\s+([-+]?\d{1,18})\s*", re.ASCII).fullmatch
+
 _LOOKALIKE_REMEDY = (
     "the name on line {} looks the same, but has other Unicode characters (one is composed, one"
     " decomposed); copy it from there"
@@ -142,11 +145,9 @@ class _Reader(ErrorCollector):
         try:
             Parser(self.read_element, self.report_at).parse(file)
         finally:
-            tables = self.cameras, self.lights, *(self.shader_tables | self.surface_tables).values()
             # After too many errors, the numbers are not checked: the last row may be incomplete.
-            for table in tables if len(self.errors) < MAX_ERRORS else ():
-                for error in table.find_errors():
-                    self.report_at(*error)
+            if len(self.errors) < MAX_ERRORS:
+                self.report_invalid_numbers()
         self.report_missing_elements()
         self.report_undefined_shaders()
 
@@ -166,10 +167,12 @@ class _Reader(ErrorCollector):
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.add_row(self.lights, element)
-        elif tag in ("camera", "image"):
-            if self.unique_elements.setdefault(tag, element) is not element:
-                self.report_duplicate(element, self.unique_elements[tag])
-            self.add_row(self.cameras, element) if tag == "camera" else self.read_image(element)
+        elif tag == "camera":
+            self.check_uniqueness(element)
+            self.add_row(self.cameras, element)
+        elif tag == "image":
+            self.check_uniqueness(element)
+            self.read_image(element)
         else:
             root = self.unique_elements["scene"]
             self.intended_tags.add(self.report_unknown_element(element, root, SCENE_TAGS))
@@ -184,11 +187,15 @@ class _Reader(ErrorCollector):
         self.report_unknown_attributes(element)
         self.unique_elements["scene"] = element
 
+    def check_uniqueness(self, element: Element) -> None:
+        original = self.unique_elements.setdefault(element.tag, element)
+        if original is not element:
+            self.report_duplicate(element, original)
+
     def read_image(self, element: Element) -> None:
         """Read the size of the picture, and store it in `empty_scene`."""
         self.match_children(element, {})
-        number_pattern = r"\s*([-+]?\d{1,18})"
-        match = re.fullmatch(rf"{number_pattern}\s{number_pattern}\s*", element.text, re.ASCII)
+        match = _match_size(element.text)
         if match is None:
             text = element.text.strip()
             message = f"needs two whole numbers, width and height, as in 640 480; has {quote(text)}"
@@ -216,8 +223,12 @@ class _Reader(ErrorCollector):
         table.object_indices.append(next(self.surface_counter))
         children = self.add_row(table, element, "type")
         shader = children.get("shader")
-        table.shader_indices.append(0 if shader is None else self.read_shader_or_reference(shader))
-        table.shader_lines.append(0 if shader is None else shader.line)
+        if shader is None:
+            table.shader_indices.append(0)
+            table.shader_lines.append(0)
+        else:
+            table.shader_indices.append(self.read_shader_or_reference(shader))
+            table.shader_lines.append(shader.line)
 
     def read_shader(self, element: Element) -> int:
         """Add a shader to the table for its type, and return its index among all shaders."""
@@ -344,6 +355,13 @@ class _Reader(ErrorCollector):
         return [np.nan] * validator.number_count
 
     # From tables to a scene
+
+    def report_invalid_numbers(self) -> None:
+        """Report invalid and contradictory numbers in all tables."""
+        tables = self.cameras, self.lights, *(self.shader_tables | self.surface_tables).values()
+        for table in tables:
+            for line, tag, message in table.find_errors():
+                self.report_at(line, tag, message)
 
     def report_missing_elements(self) -> None:
         """Report a missing camera or image, unless its tag was probably misspelt."""
