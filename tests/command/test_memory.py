@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probe import scene_of
-from running import file_names, peak_memory, run, write_ball
+from running import SCENE, file_names, peak_memory, run, write_ball
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 from tracer.world.prepared_scene import PreparedScene
@@ -96,6 +96,15 @@ def test_a_lack_of_memory_for_numpy_is_reported(tmp_path, megabytes):
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert re.match(r"the command cannot start: [^;]*[.]so[^;]*; give it more memory, or", err)
     assert file_names(tmp_path) == []
+
+
+def test_an_exr_file_needs_twelve_bytes_of_memory_a_pixel(tmp_path):
+    scene, (width, height) = tmp_path / "ball.xml", (5000, 4000)
+    scene.write_text(SCENE.format(width, height).replace("0 0 5", "0 0 -5"))  # a black picture
+    command = [sys.executable, "-m", "tracer", str(scene), "--quiet", "--format"]
+    with_exr, with_png = (peak_memory(*command, format_name) for format_name in ("exr", "png"))
+    # Modules of OpenEXR take 30 MB.
+    assert with_exr - with_png < 12 * width * height / 1e6 + 60
 
 
 @pytest.mark.slow

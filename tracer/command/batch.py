@@ -36,7 +36,14 @@ from tracer.files import (
     share_folders,
 )
 from tracer.messages import make_printable
-from tracer.picture.linear import EXR_MAGIC, NPY_MAGIC, encode_raw, write_exr, write_npy
+from tracer.picture.linear import (
+    EXR_MAGIC,
+    NPY_MAGIC,
+    encode_float32,
+    encode_float64,
+    write_exr,
+    write_npy,
+)
 from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, WorkerPool
 from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
@@ -62,8 +69,8 @@ class Format(NamedTuple):
 
 FORMATS: dict[str, Format] = {
     "png": Format(magic=PNG_MAGIC, encode=compress_tile, write=write_tiles),
-    "npy": Format(magic=NPY_MAGIC, encode=encode_raw, write=write_npy),
-    "exr": Format(magic=EXR_MAGIC, encode=encode_raw, write=write_exr),
+    "npy": Format(magic=NPY_MAGIC, encode=encode_float64, write=write_npy),
+    "exr": Format(magic=EXR_MAGIC, encode=encode_float32, write=write_exr),
 }
 """Picture formats, by the suffix of the file name."""
 

@@ -1,12 +1,14 @@
 """Write linear radiance to a file: as float64 in NumPy's format, or as float32 in OpenEXR.
 
-As in `tracer.picture.png`, a picture is written tile by tile, in the order of its pixels.
+As in `tracer.picture.png`, a picture is made of tiles, in the order of its pixels.  The bytes of a
+tile are its values in order: row by row, and for each pixel red, green and blue.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import IO
+from typing import Annotated as Shaped
 
 import numpy as np
 
@@ -16,43 +18,31 @@ NPY_MAGIC, EXR_MAGIC = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 """The first bytes of files of these formats."""
 
 
-def encode_raw(radiance: Floats, *, is_leftmost: bool = True) -> bytes:
-    """Convert the radiance of a tile (a rectangle of pixels) to raw float64 bytes.
-
-    Parameters
-    ----------
-    radiance : (rows, columns, 3) float array
-        Linear RGB radiance of the pixels.
-    is_leftmost : bool
-        Whether the tile is at the left edge of the picture; ignored in this format.
-
-    Returns
-    -------
-    data : bytes
-        The values in order: row by row, and for each pixel red, green and blue.
-    """
+def encode_float64(
+    radiance: Shaped[Floats, "rows columns 3"],
+    *,
+    is_leftmost: bool = True,  # ignored: only PNG marks the beginnings of rows
+) -> bytes:
+    """Convert the radiance of a tile to float64 bytes."""
     return radiance.tobytes()
 
 
+def encode_float32(
+    radiance: Shaped[Floats, "rows columns 3"], *, is_leftmost: bool = True
+) -> bytes:
+    """Convert the radiance of a tile to float32 bytes; values that are too large become infinite.
+
+    See `encode_float64`.
+    """
+    with np.errstate(over="ignore"):
+        return radiance.astype(np.float32).tobytes()
+
+
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write the linear radiance of a picture to a .npy file.
+    """Write the linear radiance of a picture, from tiles of float64 bytes, to a .npy file.
 
-    `numpy.load` returns the radiance as a float64 array of shape (height, width, 3).
-
-    Parameters
-    ----------
-    file : binary file
-        A file open for writing.
-    width, height : int
-        Size of the picture, in pixels.
-    tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as `encode_raw` returns
-        them.  The number of pixels is not checked.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    `numpy.load` returns the radiance as a float64 array of shape (height, width, 3).  The number of
+    pixels is not checked.
     """
     header = {"descr": "=f8", "fortran_order": False, "shape": (height, width, 3)}
     np.lib.format.write_array_header_1_0(file, header)
@@ -60,19 +50,14 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write the linear radiance of a picture to an OpenEXR file with the channels R, G and B.
+    """Write the radiance of a picture, from tiles of float32 bytes, to an OpenEXR file.
 
-    Values are rounded to float32; values that are too large for float32 become infinite.
+    The channels are R, G and B.  The whole picture is in memory: 12 bytes a pixel.
 
     Parameters
     ----------
-    file : binary file
-        A file open for writing.  Its attribute `name` must be its path or file descriptor.
-    width, height : int
-        Size of the picture, in pixels.
-    tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as `encode_raw` returns
-        them.
+    file
+        Its attribute `name` must be its path or file descriptor.
 
     Raises
     ------
@@ -85,14 +70,19 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     """
     import OpenEXR  # optional, and slow to import
 
-    image = np.frombuffer(b"".join(tiles)).reshape(height, width, 3)
+    image = np.empty((height, width, 3), np.float32)
+    values, value_count = image.reshape(-1), 0
+    for tile in tiles:
+        tile_values = np.frombuffer(tile, np.float32)
+        values[value_count : value_count + tile_values.size] = tile_values
+        value_count += tile_values.size
+    if value_count != values.size:
+        raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with np.errstate(over="ignore"):
-        channels = {"RGB": image.astype(np.float32)}
     # OpenEXR opens the file again.  On Linux, a file without a path is opened by its descriptor.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
-        OpenEXR.File(header, channels).write(path)
+        OpenEXR.File(header, {"RGB": image}).write(path)
     except RuntimeError as error:
         reason = str(error).rpartition(f'"{path}". ')[2].rstrip(".")
         raise OSError(reason) from error
