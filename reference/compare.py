@@ -33,7 +33,7 @@ from threading import Event
 
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import compare_codes, write_comparison
-from reference.handins.class_page import make_pair, render_class_page
+from reference.handins.class_page import make_pair, render_class_page, render_student_pages
 from reference.handins.diagnosis import AGREEING_KINDS, Reference, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
 from reference.handins.results import Result, format_csv, format_json, format_text, sort_causes
@@ -54,53 +54,53 @@ _WORKER_DIED = "cannot be compared: its process was ended; is there enough memor
 
 
 def parse_tolerance(argument: str) -> float:
-    """Convert a command-line argument to a non-negative number.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the argument is not a number, or is negative or NaN.
-    """
+    """Convert a command-line argument to a non-negative number; raise ArgumentTypeError if not."""
     with suppress(ValueError):
         if (tolerance := float(argument)) >= 0:
             return tolerance
     raise argparse.ArgumentTypeError(f"must be 0 or more, not {argument}")
 
 
+def _parse_ssim(argument: str) -> float:
+    """Convert a command-line argument to an SSIM; raise ArgumentTypeError if it is none."""
+    with suppress(ValueError):
+        if 0 <= (ssim := float(argument)) <= 1:
+            return ssim
+    raise argparse.ArgumentTypeError(f"must be from 0 to 1, not {argument}")
+
+
+def _read_class_list(path: Path) -> list[str]:
+    """Read the names of students, one a line; empty lines are skipped."""
+    with errors_as_failure(path, "read", exit_status=FAILED_STATUS, error_types=(ValueError,)):
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    return [name for line in lines if (name := line.strip())]
+
+
 def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
     """Parse the command line, and match each hand-in with its reference picture or scene.
 
-    A hand-in is a picture that a student handed in.
-
-    Parameters
-    ----------
-    arguments : sequence of str or None
-        The command-line arguments; None for the arguments of this process.
-
-    Returns
-    -------
-    options : Namespace
-        The options.  In addition, `is_class` is True if the first argument is a folder; `folder`
-        is that folder, or the folder of the single picture.
-    hand_ins : list of HandIn
-        The pictures to compare and the missing pictures, each with its reference.
+    The options have two more attributes: `is_class` is True if the first argument is a folder, and
+    `folder` is that folder, or the folder of the single picture.
 
     Raises
     ------
     SystemExit
         If the arguments are wrong; a message is printed, and the exit status is 2.
     Failure
-        If a file does not exist.
+        If a file does not exist, or the class list cannot be read.
     """
     command_parser = make_parser("reference.compare")
     add_argument, report_error = command_parser.add_argument, command_parser.error
     add_argument("hand_in", metavar="HAND-IN", type=Path, help="the picture to check, or a folder")
     add_argument("reference", metavar="RIGHT", type=Path, help="a scene, a picture, or a folder")
-    add_argument("--ssim", type=parse_tolerance, metavar="S", help="minimum SSIM")
+    add_argument("--ssim", type=_parse_ssim, metavar="S", help="minimum SSIM")
     add_argument("--max", type=parse_tolerance, metavar="M", help="maximum linear difference")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
     add_argument("-o", "--output", type=check_path, metavar="PATH", help=output_help)
-    add_argument("--html", type=check_path, metavar="OUT.html", help="write a page of all pictures")
+    html_help = "write a page of all pictures; a folder also gets a page for each student"
+    add_argument("--html", type=check_path, metavar="OUT.html", help=html_help)
+    students_help = "a class list, one name a line: who is missing"
+    add_argument("--students", type=Path, metavar="NAMES.txt", help=students_help)
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with one object per picture")
@@ -122,29 +122,25 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     if options.is_class and options.output and not is_folder(options.output):
         problem = f"several pictures need a folder; end it in {os.sep}"
         report_error(make_printable(f"-o {options.output}: {problem}"))
-    hand_ins = match_hand_ins(picture_paths, input_path, reference_path)
+    names = _read_class_list(options.students) if options.students else []
+    hand_ins = match_hand_ins(picture_paths, input_path, reference_path, names)
     outputs = [_choose_comparison_path(options, path) for path in picture_paths if options.output]
-    outputs += [Path(options.html)] if options.html else []
+    outputs += [_get_page_path(options)] if options.html else []
     reference_files = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
     forbid_overwriting_inputs(command_parser, outputs, (*picture_paths, *reference_files))
     return options, hand_ins
 
 
+def _get_page_path(options: argparse.Namespace) -> Path:
+    """Return the path of the page of all pictures: the one given, or `index.html` in a folder."""
+    path = Path(options.html)
+    return path / "index.html" if is_folder(options.html) else path
+
+
 def _choose_comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
     """Choose the path of the comparison picture for a submitted picture.
 
-    Parameters
-    ----------
-    options : Namespace
-        The command-line options.  Its `output` is the path given with -o.
-    picture_path : Path
-        The submitted picture.
-
-    Returns
-    -------
-    path : Path
-        The path given with -o if it names a file.  If it names a folder, a path in that folder
-        that is unique to the submitted picture.
+    It is the path given with -o; or, if that is a folder, a path in it that is unique.
     """
     if not is_folder(options.output):
         return Path(options.output)
@@ -188,8 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = sort_causes([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
-        html = render_class_page(results, pairs, options.folder)
-        write_page(Path(options.html), html, "choose another with --html", FAILED_STATUS)
+        _write_pages(options, results, pairs)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, exit_status=FAILED_STATUS)
     format_results = options.format_results or partial(format_text, is_class=options.is_class)
@@ -200,26 +195,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(not all(result.agrees for result in results))
 
 
+def _write_pages(
+    options: argparse.Namespace, results: Sequence[Result], pairs: dict[str, Pair]
+) -> None:
+    """Write the page of all pictures and, in a folder, `students/NAME.html` for each student."""
+    page_path = _get_page_path(options)
+    pages = {page_path: render_class_page(results, pairs, options.folder)}
+    if is_folder(options.html):
+        for student, page in render_student_pages(results, pairs, options.folder).items():
+            # Names from a class list may contain slashes.
+            pages[page_path.parent / "students" / f"{student.replace('/', '-')}.html"] = page
+    for path, html in pages.items():
+        write_page(path, html, "choose another with --html", FAILED_STATUS)
+
+
 def _compare_with_progress_bar(
     options: argparse.Namespace, hand_in: HandIn
 ) -> tuple[Result, Pair | None]:
-    """Compare one picture with its reference, showing a progress bar after the first second.
-
-    Parameters
-    ----------
-    options : Namespace
-        The command-line options.
-    hand_in : HandIn
-        The paths of the picture and of its reference.
-
-    Returns
-    -------
-    result : Result
-        The mistakes in the picture and measures of the difference, or an error.
-    pair : Pair or None
-        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
-        there is an error.
-    """
+    """Compare one picture with its reference, showing a progress bar after the first second."""
     is_finished = Event()
 
     def refresh(bar: Progress) -> None:
@@ -240,20 +233,6 @@ def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, st
     """Return a sort key: pictures come first, by path, and missing pictures follow, by student.
 
     Scenes for which nobody handed in a picture come last.
-
-    Parameters
-    ----------
-    result_and_pair : tuple of Result and (Pair or None)
-        The two items that `compare_hand_in` returns; only the result is used.
-
-    Returns
-    -------
-    is_missing : bool
-        Whether the picture is missing.
-    path_or_student : str
-        The path of the picture; if it is missing, the student's name, or "~" for nobody.
-    scene : str
-        The scene's name.
     """
     result, _ = result_and_pair
     return not result.picture, result.picture or result.student or "~", result.scene
@@ -261,17 +240,7 @@ def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, st
 
 @lru_cache(maxsize=1)
 def _load_reference(path: Path) -> Reference:
-    """Load the reference for submitted pictures; the most recent one is cached.
-
-    Parameters
-    ----------
-    path : Path
-        A scene file if the name ends in .xml, otherwise a picture.
-
-    Returns
-    -------
-    reference : Reference
-        Its method `diagnose` finds the mistakes in a submitted picture.
+    """Load a picture or a scene file; the most recent one is cached.
 
     Raises
     ------
@@ -287,21 +256,7 @@ def _load_reference(path: Path) -> Reference:
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
     """Compare a submitted picture with its reference, and return errors instead of raising them.
 
-    Parameters
-    ----------
-    options : Namespace
-        The command-line options.
-    hand_in : HandIn
-        The paths of the picture and of its reference, which is a picture or a scene file.
-
-    Returns
-    -------
-    result : Result
-        The mistakes in the picture and measures of the difference.  If the picture is missing or
-        cannot be compared, the `error` of the result states why.
-    pair : Pair or None
-        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
-        the picture cannot be compared.
+    The pair is for the HTML page: None if no page is requested, or if there is an error.
     """
     paths = hand_in.picture, hand_in.reference
     picture_name, reference_name = (str(path) if path else None for path in paths)
@@ -324,28 +279,9 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
 def _compare_files(
     options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
 ) -> tuple[Result, Pair | None]:
-    """Compare a picture with its reference, and draw both side by side if requested.
+    """Complete a result: compare its pictures, and draw both side by side if requested.
 
     If a whole class is compared, only pictures that do not agree are drawn.
-
-    Parameters
-    ----------
-    options : Namespace
-        The command-line options.
-    picture_path : Path
-        The submitted picture.
-    reference_path : Path
-        The reference: a picture or a scene file.
-    result : Result
-        The names of the student, the scene and both files.
-
-    Returns
-    -------
-    result : Result
-        A copy of `result` that also contains the mistakes in the picture, and measures of the
-        difference if the sizes are equal.
-    pair : Pair or None
-        Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
 
     Raises
     ------
@@ -358,7 +294,8 @@ def _compare_files(
     sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
     result = result._replace(diagnosis=diagnosis.prepend_text(" ".join(sentences)))
     if picture.codes.shape != reference.codes.shape:
-        return result, None
+        codes = picture.codes, reference.codes
+        return result, make_pair(result, *codes, None) if options.html else None
     ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)
     agrees = diagnosis.kind in AGREEING_KINDS
     if options.ssim is not None or options.max is not None:

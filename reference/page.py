@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
+from typing import Annotated as Shaped
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,45 +25,35 @@ TEMPLATE = REFERENCE_FOLDER / "page.html"
 _MAX_THUMBNAIL_SIDE = 96
 
 # Default values of the optional template variables.
-_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "notes": (), "hide_good_pairs": False}
+_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "sections": (), "is_class": False}
 
 Pair: TypeAlias = dict[str, Any]
 """Template values for a pair of pictures and their difference, from `prepare_pair`."""
 
 
 class Cell(NamedTuple):
-    """A piece of text in a page's overview table, with an optional thumbnail.
-
-    Attributes
-    ----------
-    text : str
-        The text.
-    link : int, optional
-        Index of the pair of pictures to which the text links.
-    is_good : bool, optional
-        True to mark the text as a success, False as a failure; None for neither.
-    thumbnail : bytes, optional
-        A small picture as a PNG.
-    """
+    """A piece of text in a page's overview table, with an optional thumbnail."""
 
     text: str
-    link: int | None = None
-    is_good: bool | None = None
-    thumbnail: bytes | None = None
+    link: int | None = None  # index of the pair of pictures to which the text links
+    is_good: bool | None = None  # marks the text as a success or a failure; None for neither
+    thumbnail: bytes | None = None  # a small picture as a PNG
 
 
 def prepare_pair(
-    left_codes: Codes, right_codes: Codes, difference_codes: Codes, gain: float, **content: Any
+    left_codes: Shaped[Codes, "h w 3"],
+    right_codes: Shaped[Codes, "h w 3"],
+    difference_codes: Shaped[Codes, "h w 3"],
+    gain: float,
+    **content: Any,
 ) -> Pair:
     """Collect the values that the HTML template needs to show a pair of pictures.
 
     Parameters
     ----------
-    left_codes, right_codes : (height, width, 3) uint8 arrays
-        The left and the right picture, as 8-bit codes.
-    difference_codes : (height, width, 3) uint8 array
-        A picture of the difference, as 8-bit codes.
-    gain : float
+    left_codes, right_codes, difference_codes
+        The two pictures, and a picture of their difference.
+    gain
         Factor by which the difference is amplified; 0 if the pictures are equal.
     **content
         Further template values by name:
@@ -75,11 +66,6 @@ def prepare_pair(
         - `faults`, `notes` : sequences of paragraphs, optional
         - `worst_pixel` : column and row of a pixel to mark with a ring, optional
         - `thumbnail` : bytes of a PNG file, optional
-
-    Returns
-    -------
-    pair : dict
-        All template values by name.  The three pictures are the bytes of PNG files.
     """
     height, width, _ = left_codes.shape
     defaults = {"comment": "", "faults": (), "notes": (), "worst_pixel": None, "thumbnail": None}
@@ -93,7 +79,7 @@ def prepare_pair(
 
 
 def render_page(**content: Any) -> str:
-    """Render a self-contained HTML page that shows pairs of pictures.
+    """Render a self-contained HTML page that shows pairs of pictures, each stored once.
 
     Parameters
     ----------
@@ -110,13 +96,9 @@ def render_page(**content: Any) -> str:
         - `source` : str, the origin of the pictures, optional
         - `faults` : sequence of paragraphs on failed comparisons, optional
         - `charts` : sequence of (title, SVG bytes) tuples, optional
-        - `notes` : sequence of paragraphs below the table, optional
-        - `hide_good_pairs` : bool, whether to hide pairs with a good verdict at first, optional
-
-    Returns
-    -------
-    html : str
-        The page.  Identical pictures are stored only once.
+        - `sections` : sequence of (heading, paragraphs) tuples, shown below the table, optional
+        - `is_class` : bool, optional: cells of the table wrap, and pairs with a good verdict are
+          hidden at first
 
     Raises
     ------
@@ -142,16 +124,16 @@ def render_page(**content: Any) -> str:
 def write_page(path: Path, html: str, remedy: str = OUTPUT_REMEDY, exit_status: int = 1) -> None:
     """Write an HTML page to a file, creating the file's folder if necessary.
 
+    An existing file is replaced only if it is HTML.  Characters that UTF-8 cannot encode, such as
+    those in some file names, are escaped.
+
     Parameters
     ----------
-    path : Path
-        The file to write.  An existing file is replaced only if it is HTML.
-    html : str
-        The page, which begins with ``<!doctype html>``.  Characters that UTF-8 cannot encode, such
-        as those in some file names, are escaped.
-    remedy : str
+    html
+        The page, which begins with ``<!doctype html>``.
+    remedy
         Advice to the user, for the failure message.
-    exit_status : int
+    exit_status
         The command's exit status if the file cannot be written.
 
     Raises
@@ -165,21 +147,8 @@ def write_page(path: Path, html: str, remedy: str = OUTPUT_REMEDY, exit_status: 
             file.write(html.encode(errors="backslashreplace"))
 
 
-def encode_png(codes: Codes, *, as_thumbnail: bool = False) -> bytes:
-    """Encode a picture as a PNG in memory.
-
-    Parameters
-    ----------
-    codes : (height, width, 3) uint8 array
-        The picture, as 8-bit codes.
-    as_thumbnail : bool
-        Whether to shrink the picture to at most 96 x 96 pixels.
-
-    Returns
-    -------
-    png : bytes
-        The content of the PNG file.
-    """
+def encode_png(codes: Shaped[Codes, "h w 3"], *, as_thumbnail: bool = False) -> bytes:
+    """Encode a picture, or a thumbnail of it, as the content of a PNG file."""
     buffer, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
     if as_thumbnail:
         image.thumbnail((_MAX_THUMBNAIL_SIDE, _MAX_THUMBNAIL_SIDE))

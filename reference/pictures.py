@@ -83,6 +83,8 @@ def read_picture(path: Path) -> Picture:
     with errors_as_failure(path, "read", exit_status=FAILED_STATUS, error_types=error_types):
         if path.exists() and not path.is_file():  # opening a pipe may block for ever
             raise ValueError("not a regular file")
+        if path.exists() and not path.stat().st_size:
+            raise ValueError("the file is empty")
         try:
             image = Image.open(path, formats=_FORMATS)
         except UnidentifiedImageError:

@@ -1,4 +1,4 @@
-"""Show the results of a class on one HTML page: a table by student and scene, and all pictures.
+"""Show results on HTML pages: a table by student and scene, and all pictures.
 
 A *hand-in*, or submitted picture, is one that a student handed in; the *reference picture* is what
 it should be.
@@ -10,6 +10,11 @@ import os
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated as Shaped
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
 
 from reference.figures import Differences, amplify_difference
 from reference.handins.results import Result, list_mistake_counts, summarize_counts
@@ -22,91 +27,191 @@ _LEGEND = (
 )
 
 
+class _Table(NamedTuple):
+    """The overview table of a page."""
+
+    scenes: list[str]
+    rows: list[list[list[Cell]]]  # for each student and column, the contents of a cell
+
+
 def make_pair(
-    result: Result, submitted_codes: Codes, reference_codes: Codes, difference: Differences
+    result: Result,
+    submitted_codes: Shaped[Codes, "h w 3"],
+    reference_codes: Shaped[Codes, "h2 w2 3"],
+    difference: Shaped[Differences, "h w"] | None,
 ) -> Pair:
-    """Prepare a submitted picture and its reference picture for display on an HTML page.
+    """Prepare a submitted picture and its reference picture for display on a page.
 
-    Parameters
-    ----------
-    result : Result
-        The result of comparing the two pictures.
-    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        8-bit codes of the submitted picture and of the reference picture.
-    difference : (h, w) float32 array
-        Difference of each pixel in linear light, positive if the submitted picture is brighter.
-
-    Returns
-    -------
-    Pair
-        The two pictures and their difference, a thumbnail, the diagnosis and the metrics.
+    `difference` is in linear light, positive if the submitted picture is brighter; None if the
+    pictures have different sizes.  The page then shows the reference picture in its place,
+    stretched to the size of the submitted picture.
     """
     diagnosis = result.diagnosis
-    return prepare_pair(
-        submitted_codes, reference_codes, *amplify_difference(difference), name=str(result.picture),
-        is_good=result.agrees, verdict=result.verdict, left_name="hand-in", right_name="right",
-        thumbnail=encode_png(submitted_codes, as_thumbnail=True), notes=[str(diagnosis)],
+    size = f"{reference_codes.shape[1]} × {reference_codes.shape[0]}"
+    if difference is None:
+        height, width, _ = submitted_codes.shape
+        image = Image.fromarray(reference_codes).resize((width, height), Image.Resampling.NEAREST)
+        reference_codes = np.asarray(image)
+        difference_codes, gain = reference_codes, 0.0
+    else:
+        difference_codes, gain = amplify_difference(difference)
+    figures = [("kind", diagnosis and diagnosis.kind), ("hint", diagnosis and diagnosis.hint)]
+    if result.ssim is not None:
+        figures += [
+            ("SSIM", f"{result.ssim:.6f}"),
+            ("RMSE", f"{result.rmse:.2e}"),
+            ("largest difference", f"{result.max:.2e}"),
+            ("pixels that differ", f"{result.differing:,}"),
+        ]
+    pair = prepare_pair(
+        submitted_codes,
+        reference_codes,
+        difference_codes,
+        gain,
+        name=str(result.picture),
+        is_good=result.agrees,
+        verdict=result.verdict,
+        left_name="hand-in",
+        right_name="right",
+        thumbnail=encode_png(submitted_codes, as_thumbnail=True),
+        notes=[str(diagnosis)],
         worst_pixel=result.worst if result.differing else None,
-        figures=[
-            ("kind", diagnosis and diagnosis.kind),
-            ("hint", (diagnosis and diagnosis.hint) or "none"),
-            ("SSIM", f"{result.ssim:.6f}"), ("RMSE", f"{result.rmse:.2e}"),
-            ("largest difference", f"{result.max:.2e}"), ("pixels that differ", result.differing),
-        ],
-    )  # fmt: skip
+        figures=[(name, value) for name, value in figures if value],
+    )
+    if difference is None:
+        pair["difference_caption"] = f"the right picture, {size}, stretched"
+    return pair
 
 
 def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
-    """Render an HTML page that shows the results of a class of students.
+    """Render a page on a class: a table, the number of students with each mistake, and pictures.
 
-    The page contains a table by student and scene, each submitted picture next to its reference
-    picture, the number of pictures with each mistake, and the errors of files not compared.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        All results of the class, including results for missing pictures.
-    pairs : dict of str to Pair
-        The results of `make_pair`, by the path of the submitted picture.
-    folder : Path
-        Folder of the class.  The page shows paths relative to this folder.
-
-    Returns
-    -------
-    str
-        The page as HTML.
+    `results` includes those for missing pictures.  `pairs` has the results of `make_pair`, by the
+    path of the submitted picture.  The page shows paths relative to `folder`, that of the class.
     """
+    table = _make_table(results, pairs)
+    students = {result.student for result in results if result.student}
+    student_count = _format_number(len(students), "student")
+    return _render_page(
+        results,
+        pairs,
+        folder,
+        table,
+        title=f"Hand-ins in {folder.resolve().name}",
+        introduction=f"{student_count}, {_format_number(len(table.scenes), 'scene')}.",
+        counts=list_mistake_counts(results),
+    )
+
+
+def render_student_pages(
+    results: Sequence[Result], pairs: dict[str, Pair], folder: Path
+) -> dict[str, str]:
+    """Render a page for each student, which names no other: by the name of the student.
+
+    The arguments are those of `render_class_page`.
+    """
+    pages = {}
+    for student in sorted({result.student for result in results if result.student}):
+        own_results = [result for result in results if result.student == student]
+        paths = {result.picture for result in own_results}
+        own_pairs = {path: pair for path, pair in pairs.items() if path in paths}
+        table = _make_table(own_results, own_pairs)
+        pages[student] = _render_page(
+            own_results,
+            own_pairs,
+            folder,
+            table,
+            title=f"Pictures of {student}",
+            introduction=f"{_format_number(len(table.scenes), 'scene')}.",
+            counts=[],
+        )
+    return pages
+
+
+def _format_number(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
+    """Make the table of the verdicts by student and scene."""
     pair_index = {path: index for index, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     correct_scenes: dict[str, set[str]] = defaultdict(set)
+    unmatched_names: dict[str, list[str]] = defaultdict(list)
+    for result in results:
+        if result.student and result.picture and not result.scene:
+            unmatched_names[result.student].append(Path(result.picture).name)
+    for result in results:
+        if not (result.student and result.scene):
+            continue
+        path, names = result.picture or "", unmatched_names[result.student]
+        text = "cannot be compared" if result.verdict == "unread" else result.verdict
+        if result.diagnosis and not result.agrees:
+            text = result.diagnosis.summary or result.diagnosis.first_cause_text
+        elif not path and names:
+            text = f"not matched: {', '.join(names)}"
+        thumbnail = pairs[path]["thumbnail"] if path in pairs else None
+        cell = Cell(
+            text=text, link=pair_index.get(path), is_good=result.agrees, thumbnail=thumbnail
+        )
+        cells[result.student][result.scene].append(cell)
+        if result.agrees:
+            correct_scenes[result.student].add(result.scene)
+    # A student of whose files none is matched has no cell, but a row.
+    students = sorted({*cells, *unmatched_names})
+    scenes = sorted({scene for cells_by_scene in cells.values() for scene in cells_by_scene})
+    rows = [
+        [
+            [Cell(text=student)],
+            [Cell(text=f"{len(correct_scenes[student])} of {len(scenes)}")],
+            *(cells[student].get(scene, []) for scene in scenes),
+        ]
+        for student in students
+    ]
+    return _Table(scenes=scenes, rows=rows)
+
+
+def _render_page(
+    results: Sequence[Result],
+    pairs: dict[str, Pair],
+    folder: Path,
+    table: _Table,
+    *,
+    title: str,
+    introduction: str,
+    counts: Sequence[str],
+) -> str:
+    """Render a page with the given table, pairs, and counts of mistakes."""
+
+    def shorten_paths(result: Result, text: str) -> str:
+        """Make the paths in a text short: of hand-ins relative, of references the name alone."""
+        if result.picture:
+            text = text.replace(result.picture, os.path.relpath(result.picture, folder))
+        return text.replace(result.right, Path(result.right).name) if result.right else text
+
+    shown_pairs = []
     # Paragraphs on the files that were not compared, or whose pictures are not on the page.
     notes = list[str]()
     for result in results:
-        path, diagnosis = result.picture or "", result.diagnosis
-        if result.student and result.scene:
-            text = diagnosis.first_cause_text if diagnosis and not result.agrees else result.verdict
-            thumbnail = pairs[path]["thumbnail"] if path in pairs else None
-            cell = Cell(text, pair_index.get(path), result.agrees, thumbnail)
-            cells[result.student][result.scene].append(cell)
-            correct_scenes[result.student].update([result.scene] if result.agrees else [])
-        if diagnosis and path not in pairs:
-            notes.append(f"{path}: {diagnosis}")
+        path = result.picture or ""
+        if path in pairs:
+            pair_notes = [shorten_paths(result, note) for note in pairs[path]["notes"]]
+            name = os.path.relpath(path, folder)
+            shown_pairs.append(pairs[path] | {"name": name, "notes": pair_notes})
+        elif result.diagnosis:
+            notes.append(shorten_paths(result, f"{path}: {result.diagnosis}"))
         elif result.error and (path or not result.student):
-            notes.append(result.error)
-    scenes = sorted({scene for cells_by_scene in cells.values() for scene in cells_by_scene})
-    rows = [[[Cell(student)], [Cell(f"{len(correct_scenes[student])} of {len(scenes)}")],
-             *(cells[student].get(scene, []) for scene in scenes)]
-            for student in sorted(cells)]  # fmt: skip
+            notes.append(shorten_paths(result, result.error))
     return render_page(
-        title=f"Hand-ins in {folder}",
-        introduction=f"{len(cells)} students, {len(scenes)} scenes.",
+        title=title,
+        introduction=introduction,
         verdict=f"{summarize_counts(results)}.",
         is_good=all(result.agrees for result in results),
         table_name="By student and by scene",
-        column_titles=["student", "right", *scenes],
-        rows=rows,
-        pairs=[pair | {"name": os.path.relpath(path, folder)} for path, pair in pairs.items()],
+        column_titles=["student", "right", *table.scenes],
+        rows=table.rows,
+        pairs=shown_pairs,
         legend=_LEGEND,
-        notes=[*list_mistake_counts(results), *notes],
-        hide_good_pairs=True,
+        sections=[("Mistakes", counts), ("Not compared", notes)],
+        is_class=True,
     )

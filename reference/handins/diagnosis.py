@@ -14,6 +14,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated as Shaped
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from reference.handins.formulas import Array
 from reference.handins.mistakes import PICTURE_FORMULAS
 from reference.handins.renderer import MAX_PIXELS, Cause, MistakeRenderer
 from reference.handins.search import Finding, Submission
+from reference.judges.arrays import Bools
 from reference.pictures import Codes, Picture, compare_levels, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
@@ -45,25 +48,20 @@ _TURN_BACK_FUNCTIONS: dict[str, Callable[[Codes], Codes]] = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The verdict on a submitted picture, or the mistakes that it contains.
+    """The verdict on a submitted picture, or the mistakes that it contains."""
 
-    Attributes
-    ----------
-    causes : tuple of dict of str to str
-        The alternative causes, at least one.  Each maps the keywords of mistakes that are made
-        together to sentences, as in ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as
-        "identical", is a single cause with one keyword.
-    text_before, text_after : str
-        Text of the report before and after the sentences of the causes; may be empty.
-    hint : str
-        If no cause is known, the keywords of the mistakes that come closest to explaining the
-        picture, joined by ``+``; otherwise empty.
-    """
-
+    # The alternative causes, at least one.  Each maps the keywords of mistakes that are made
+    # together to sentences, as in ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as
+    # "identical", is a single cause with one keyword.
     causes: tuple[dict[str, str], ...]
+    # Text of the report before and after the sentences of the causes; may be empty.
     text_before: str = ""
     text_after: str = ""
+    # If no cause is known, the keywords of the mistakes that come closest to explaining the
+    # picture, joined by ``+``; otherwise empty.
     hint: str = ""
+    # If no cause is known, a few words on where the picture differs, for tables; otherwise empty.
+    summary: str = ""
 
     @property
     def kind(self) -> str:
@@ -77,10 +75,8 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """Format the report: the first cause, then a few of the other causes in parentheses."""
-        first_cause, *other_causes = self.causes
-        new_texts = (" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
-                     for cause in other_causes)  # fmt: skip
-        alternatives, note = [*filter(None, new_texts)], ""
+        alternatives = [" ".join(cause.values()) for cause in self.causes[1:]]
+        note = ""
         if alternatives:
             omitted_count = len(alternatives) - _MAX_NAMED + 1
             note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
@@ -270,7 +266,21 @@ class Reference:
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
             details = f"The nearest that is known: {hint_text} It does not explain {counts}. "
         details += self._describe_differences(submission, finding.hint)
-        return Diagnosis(({UNKNOWN: sentence},), text_after=details, hint="+".join(finding.hint))
+        return Diagnosis(
+            ({UNKNOWN: sentence},),
+            text_after=details,
+            hint="+".join(finding.hint),
+            summary=self._summarize_differences(submission),
+        )
+
+    def _summarize_differences(self, submission: Submission) -> str:
+        """Say in a few words how many pixels are wrong, and which surface has most of them."""
+        is_wrong = compare_levels(submission.codes, submission.renderer.reference_codes) > 1
+        count_text = symptoms.format_count(is_wrong.sum())
+        if not self.scene:
+            return f"{count_text}."
+        regions = _find_wrong_surfaces(self.scene, submission, is_wrong)
+        return f"{count_text}, most on {regions[0].name}{regions[0].note}."
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
         """Describe where a submitted picture differs from the reference picture.
@@ -314,34 +324,49 @@ class Reference:
         return f"{count_text}: {surfaces_text}.{lights_text}{pixel_text}; {command} explains it."
 
 
-def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Array) -> str:
-    """List the surfaces that have the most wrong pixels, with their pixel counts.
+class _WrongSurface(NamedTuple):
+    """A surface with wrong pixels, or the background."""
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    submission : Submission
-        The submitted picture, and the renderer of its scene.
-    is_wrong : (n,) bool array
-        True for pixels that differ from the reference picture by more than one level.
+    name: str
+    note: str  # " (brighter)", " (darker)" or empty
+    wrong_count: int
+    pixel_count: int  # of all pixels that show the surface
 
-    Returns
-    -------
-    str
-        Phrases such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
-    """
+
+def _find_wrong_surfaces(
+    scene: Scene, submission: Submission, is_wrong: Shaped[Bools, "n"]
+) -> list[_WrongSurface]:
+    """Find the surfaces that have wrong pixels, those with the most of them first."""
     surface_index = submission.renderer.surface_index
     wrong_surface_index = surface_index[is_wrong]
     differences = submission.codes[:, is_wrong].astype(np.int16)
     differences -= submission.renderer.reference_codes[:, is_wrong]
     indices, counts = np.unique(wrong_surface_index, return_counts=True)
-    order, phrases = np.argsort(-counts, kind="stable"), []
-    for index, count in zip(indices[order[:_MAX_NAMED]], counts[order], strict=False):
-        name = str(SurfaceRef.from_index(scene, int(index))) if index >= 0 else "the background"
-        note = _describe_brightness(differences[:, wrong_surface_index == index])
-        phrases.append(f"{count:,} of {(surface_index == index).sum():,} on {name}{note}")
-    if other_count := counts[order[_MAX_NAMED:]].sum():
+    order = np.argsort(-counts, kind="stable")
+    return [
+        _WrongSurface(
+            name=str(SurfaceRef.from_index(scene, int(index))) if index >= 0 else "the background",
+            note=_describe_brightness(differences[:, wrong_surface_index == index]),
+            wrong_count=int(count),
+            pixel_count=int((surface_index == index).sum()),
+        )
+        for index, count in zip(indices[order], counts[order], strict=True)
+    ]
+
+
+def _describe_wrong_surfaces(
+    scene: Scene, submission: Submission, is_wrong: Shaped[Bools, "n"]
+) -> str:
+    """List the surfaces with the most wrong pixels.
+
+    The result is such as "12 of 345 on Sphere 1 (line 8) (darker), 6 on others".
+    """
+    surfaces = _find_wrong_surfaces(scene, submission, is_wrong)
+    phrases = [
+        f"{surface.wrong_count:,} of {surface.pixel_count:,} on {surface.name}{surface.note}"
+        for surface in surfaces[:_MAX_NAMED]
+    ]
+    if other_count := sum(surface.wrong_count for surface in surfaces[_MAX_NAMED:]):
         phrases.append(f"{other_count:,} on others")
     return ", ".join(phrases)
 

@@ -17,45 +17,22 @@ from tracer.messages import make_printable
 
 
 class Result(NamedTuple):
-    """The result for one submitted or missing picture.
+    """The result for one submitted or missing picture."""
 
-    Attributes
-    ----------
-    student, scene : str
-        Names of the student and of the scene.  The student is empty if nobody has submitted a
-        picture of the scene.
-    picture, right : str or None
-        Files of the submitted picture, and of the reference picture or scene; None if missing.
-    agrees : bool
-        True if the picture is right, or within the tolerances set by the user.
-    diagnosis : Diagnosis or None
-        The mistakes in the picture; None if it could not be compared.
-    ssim, rmse, max : float or None
-        Structural similarity (1 for equal pictures), and the root mean square and the maximum of
-        the difference in linear light; None if the sizes differ.
-    differing : int or None
-        Number of pixels whose codes differ.
-    worst : tuple of 2 ints or None
-        Column and row of the pixel that differs most.
-    comparison : str or None
-        File that shows both pictures side by side, if one was written.
-    error : str or None
-        One line that states why the picture could not be compared.
-    """
-
-    student: str
-    scene: str
-    picture: str | None
-    right: str | None
-    agrees: bool = False
-    diagnosis: Diagnosis | None = None
-    ssim: float | None = None
-    rmse: float | None = None
-    max: float | None = None
-    differing: int | None = None
-    worst: tuple[int, int] | None = None
-    comparison: str | None = None
-    error: str | None = None
+    student: str  # empty if nobody has submitted a picture of the scene
+    scene: str  # empty if it is unknown
+    picture: str | None  # file that was submitted; None if it is missing
+    right: str | None  # file of the reference picture or scene; None if it is unknown
+    agrees: bool = False  # also true within tolerances set by the user
+    diagnosis: Diagnosis | None = None  # None if the picture could not be compared
+    # The metrics are None if the sizes differ.
+    ssim: float | None = None  # structural similarity: 1 for equal pictures
+    rmse: float | None = None  # root mean square of the difference in linear light
+    max: float | None = None  # maximum of the difference in linear light
+    differing: int | None = None  # number of pixels whose codes differ
+    worst: tuple[int, int] | None = None  # column and row of the pixel that differs most
+    comparison: str | None = None  # file that shows both pictures, if one was written
+    error: str | None = None  # one line: why the picture could not be compared
 
     @property
     def verdict(self) -> str:
@@ -65,14 +42,10 @@ class Result(NamedTuple):
         return "agrees" if self.agrees else "differs"
 
     def to_row(self) -> dict[str, Any]:
-        """Convert the result to a row of the JSON and CSV output.
+        """Convert the result to a row of the JSON and CSV output: values by column name.
 
-        Returns
-        -------
-        dict of str to object
-            The values by column name.  The diagnosis takes three columns: "kind" (keywords of the
-            mistakes), "hint" (if no cause is known, keywords of the mistakes that come closest to
-            explaining the picture) and "diagnosis" (sentences).  All are None without a diagnosis.
+        The diagnosis takes three columns: "kind" (keywords of the mistakes), "hint" (if no cause is
+        known, keywords of the mistakes that come closest) and "diagnosis" (sentences).
         """
         diagnosis, row = self.diagnosis, dict[str, Any]()
         new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
@@ -82,14 +55,7 @@ class Result(NamedTuple):
         return row
 
     def format_metrics(self) -> str:
-        """Format the metrics of the comparison as text.
-
-        Returns
-        -------
-        str
-            Structural similarity, root mean square error and maximum difference.  Empty if the
-            sizes of the pictures differ.
-        """
+        """Format the metrics of the comparison; empty if the sizes of the pictures differ."""
         if self.ssim is None:
             return ""
         return f"SSIM {self.ssim:.4f}  RMSE {self.rmse:.2e}  max {self.max:.2e}"
@@ -103,18 +69,8 @@ class Result(NamedTuple):
 def sort_causes(results: Sequence[Result]) -> list[Result]:
     """Sort the possible causes of each picture by their frequency in the student's wrong pictures.
 
-    A cause is a set of mistakes that are made together.  All pictures of a student come from one
-    program, so the cause that explains most of them is the most likely.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        The results of all students.
-
-    Returns
-    -------
-    list of Result
-        Copies of the results, in the same order, each with the most frequent cause first.
+    All pictures of a student come from one program, so the cause that explains most of them is the
+    most likely.
     """
     cause_counts: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
@@ -128,61 +84,58 @@ def sort_causes(results: Sequence[Result]) -> list[Result]:
 
 
 def list_mistake_counts(results: Sequence[Result]) -> list[str]:
-    """List how many pictures contain each mistake, the most frequent mistake first.
+    """List how many students make each mistake, as in "3 students: Gamma is missing."
 
-    If a picture has alternative causes, only the first is counted.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        The results of a class.
-
-    Returns
-    -------
-    list of str
-        Lines such as "3 × Gamma is missing."
+    The most frequent mistake comes first.  Of alternative causes, only the first is counted.
     """
-    causes = (
-        result.diagnosis.causes[0] for result in results if result.diagnosis and not result.agrees
-    )
-    counts = Counter(cause[keyword] for cause in causes for keyword in cause if keyword != UNKNOWN)
-    return [f"{count} × {sentence}" for sentence, count in counts.most_common()]
+    students_by_sentence: dict[str, set[str]] = defaultdict(set)
+    for result in results:
+        if result.diagnosis and not result.agrees:
+            for keyword, sentence in result.diagnosis.causes[0].items():
+                if keyword != UNKNOWN:
+                    students_by_sentence[sentence].add(result.student)
+    counts = Counter({sentence: len(names) for sentence, names in students_by_sentence.items()})
+    return [
+        f"{count} {'student' if count == 1 else 'students'}: {sentence}"
+        for sentence, count in counts.most_common()
+    ]
 
 
 def summarize_counts(results: Sequence[Result]) -> str:
-    """Summarise how many pictures of a class are right, wrong or missing.
+    """Summarise a class, as in "3 pictures: 2 agree, 1 differs; 1 is missing".
 
-    Returns
-    -------
-    str
-        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  Pictures that cannot be
-        compared and scenes that nobody has handed in are also counted.
+    Pictures that cannot be compared and scenes that nobody has handed in are also counted.
     """
-    counts = Counter("unused" if not result.picture and not result.student else result.verdict
-                     for result in results)  # fmt: skip
-    verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
-    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
-    summary = f"{sum(counts[verdict] for verdict in verbs)} pictures: {', '.join(clauses)}"
-    summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
+    counts = Counter(
+        "unused" if not result.picture and not result.student else result.verdict
+        for result in results
+    )
+    # For each verdict, the verb for one picture and for several.
+    verbs = {
+        "agrees": ("agrees", "agree"),
+        "differs": ("differs", "differ"),
+        "unread": ("cannot be compared", "cannot be compared"),
+        "missing": ("is missing", "are missing"),
+    }
+    clauses = {
+        verdict: f"{count} {verbs[verdict][count > 1]}"
+        for verdict in verbs
+        if (count := counts[verdict])
+    }
+    missing_clause = clauses.pop("missing", "")
+    picture_count = sum(counts[verdict] for verdict in clauses)
+    summary = f"{picture_count} {'picture' if picture_count == 1 else 'pictures'}"
+    summary += f": {', '.join(clauses.values())}" if clauses else ""
+    summary += f"; {missing_clause}" if missing_clause else ""
     unused_note = f"; scenes that nobody has handed in: {counts['unused']}"
     return summary + (unused_note if counts["unused"] else "")
 
 
 def format_text(results: Sequence[Result], *, is_class: bool) -> str:
-    """Format the results of a class, or of a single comparison, as text for a terminal.
+    """Format results as text for a terminal.
 
-    Parameters
-    ----------
-    results : sequence of Result
-        The results of the class, or a single result.
-    is_class : bool
-        True for the results of a class, false for a single result.
-
-    Returns
-    -------
-    str
-        For a class, one line per result and a summary.  For a single comparison, the error; or up
-        to three lines: metrics, diagnosis and the file of the comparison picture.
+    For a class, one line per result and a summary.  For a single comparison, the error; or up to
+    three lines: metrics, diagnosis and the file of the comparison picture.
     """
     if is_class:
         return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
@@ -197,19 +150,9 @@ def format_json(results: Sequence[Result]) -> str:
 
 
 def format_csv(results: Sequence[Result]) -> str:
-    """Format results as CSV, with a header and one row per result.
+    """Format at least one result as CSV, with a header and without a newline at the end.
 
     The column "worst" contains the worst pixel as ``column,row``, as `tracer --pixel` expects it.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        At least one result.
-
-    Returns
-    -------
-    str
-        The table, without a newline at the end.
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")

@@ -283,21 +283,24 @@ def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
         "BOX-Ada.PNG": ("ada", "box"),
         "room (1).png": ("class", "room"),
         "bob/room copy.png": ("bob", "room"),
-        "bob/deep/room.xml.png": ("bob/deep", "room"),
+        "bob/deep/box.xml.png": ("bob", "box"),
+        "dan/Two Box.png": ("dan", "two_box"),
+        "dan/TwoBox-2.png": ("dan", "two_box"),
+        "03_eve/out/room.png": ("eve", "room"),
     }
-    (tmp_path / "class" / "bob" / "deep").mkdir(parents=True)
-    (tmp_path / "class" / "cy").mkdir()
+    (tmp_path / "class" / "cy").mkdir(parents=True)
     for name in students_and_scenes:
+        (tmp_path / "class" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "class" / name).touch()
     pictures = list_hand_ins(tmp_path / "class")
-    matched = match_hand_ins(pictures, tmp_path / "class", tmp_path)
+    matched = match_hand_ins(pictures, tmp_path / "class", tmp_path, ["eve", "flo"])
     names = [str(picture.relative_to(tmp_path / "class")) for picture in pictures]
     present = [(one.student, one.scene) for one in matched if one.picture]
     assert present == [students_and_scenes[name] for name in names]
     missing = {(one.student, one.scene) for one in matched if not one.picture}
-    students = {"ada", "class", "bob", "bob/deep", "cy"}
+    students = {"ada", "class", "bob", "cy", "dan", "eve", "flo"}
     assert missing == {*product(students, ("room", "box", "two_box"))} - {*present}
-    assert [one.scene for one in match_hand_ins(pictures[:1], pictures[0], tmp_path)] == ["box"]
+    assert [one.scene for one in match_hand_ins(pictures[:1], pictures[0], tmp_path)] == ["room"]
 
 
 def test_few_renderers_are_cached() -> None:
