@@ -13,7 +13,7 @@ An object has planar faces, each perpendicular to an axis of the scene, or one c
 The *face code* of a planar face is 2 * axis, plus 1 if the normal that faces the eye points in the
 positive direction of the axis; the code of a curved face is `CURVED_FACE`.
 
-What other modules rely on, and `tests/accuracy/test_shapes.py` checks:
+What other modules rely on, and `tests/accuracy/test_shape_contract.py` checks:
 
 - Objects are convex.  So an object never shades its own points that face a light, and it covers a
   pixel if it covers the pixel's upper and lower edges.
@@ -120,7 +120,7 @@ class Shape(ABC):
         The row of object i extends from y = top[i] to top[i] + height.  With height 0, it is a
         line, and the result is exact except for rounding errors: antialiasing concludes that the
         object covers what lies between.  Positions are in pixels from the upper left corner of the
-        picture.  If the object does not appear in the row, then left > right or one is NaN.
+        picture.  If the object does not appear in the row, then left > right or both are NaN.
         """
 
     @abstractmethod
@@ -198,8 +198,9 @@ class Shape(ABC):
         light_side
             The result of `find_light_side`.
         growth
-            Distance by which to grow the object before the test; negative to shrink it.  An object
-            that shrinks to nothing blocks nothing.
+            Distance by which to grow the object before the test; negative to shrink it.  The side
+            of the light stays the same.  An object that shrinks to nothing blocks nothing if the
+            light is outside the unchanged object.
         """
 
     @abstractmethod

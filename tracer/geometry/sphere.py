@@ -379,5 +379,5 @@ def _find_slope_range(
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
     angle = angle.clip(-np.pi / 2, np.pi / 2)
     # `np.tan` returns only 1.6e16 for pi / 2, but the slopes of rays may be larger.
-    slope = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
+    slope = np.where(abs(angle) >= np.pi / 2, np.copysign(np.inf, angle), np.tan(angle))
     return slope[0], slope[1]

@@ -1,0 +1,308 @@
+"""The contract of a shape, checked for each shape, and by a shape that only the tests know."""
+
+from dataclasses import replace
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from cylinder import Cylinder, Cylinders, PlainTracer, add_cylinders
+from probe import scene_of
+
+from reference.judges import plain
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, render
+from tracer.arrays import Bools, Floats, Ints, dot, find, map_xyz
+from tracer.geometry.box import Boxes
+from tracer.geometry.rounding import OUTSIDE
+from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
+from tracer.geometry.sphere import Spheres
+from tracer.world.prepared_scene import PreparedScene
+
+
+@pytest.fixture(autouse=True)
+def cylinders_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plug cylinders into the tracer, and into the plain renderer."""
+    monkeypatch.setattr("tracer.world.prepared_scene.SHAPES", (Spheres, Boxes, Cylinders))
+    monkeypatch.setattr(plain, "_PlainTracer", PlainTracer)
+
+
+def random_scene(seed: int, size: tuple[int, int] = (60, 45)) -> Scene:
+    """Build a scene of cylinders, balls and boxes on a floor, all in front of the eye."""
+    random = Random(seed)
+
+    def place(reach: float) -> tuple[float, float, float]:
+        return random.uniform(-reach, reach), random.uniform(0, 2), random.uniform(-reach, reach)
+
+    def color() -> tuple[float, float, float]:
+        return random.random(), random.random(), random.random()
+
+    def shader() -> Lambertian | Phong:
+        matte = Lambertian(diffuse=color())
+        return random.choice([matte, Phong(diffuse=color(), specular=(0.5,) * 3, exponent=20)])
+
+    floor = Box(min_pt=(-9, -3, -9), max_pt=(9, -1, 9), shader=shader())
+    corner = place(1.5)
+    box = Box(min_pt=corner, max_pt=np.add(corner, (0.6, 0.5, 0.7)), shader=shader())
+    ball = Sphere(center=place(1.5), radius=0.5, shader=shader())
+    cylinders = [
+        Cylinder(
+            center=place(1.5),
+            radius=random.uniform(0.2, 0.7),
+            half_height=random.uniform(0.1, 0.9),
+            shader=shader(),
+        )
+        for _ in range(3)
+    ]
+    eye = random.uniform(-3, 3), random.uniform(1, 5), 7.0
+    camera = Camera(view_point=eye, view_dir=np.subtract((0, 0.7, 0), eye), proj_distance=1.6)
+    lights = [
+        PointLight(position=(x, 6, 4), intensity=(0.6,) * 3) for x in (-4, random.uniform(0, 5))
+    ]
+    scene = scene_of(floor, box, ball, camera=camera, size=size, lights=lights)
+    return replace(scene, surfaces=add_cylinders(scene, *cylinders))
+
+
+def scale_scene(scene: Scene, factor: float) -> Scene:
+    """Scale all lengths of a scene, whose surfaces may be cylinders, and remove its lights."""
+    surfaces = scene.surfaces
+    tables = {
+        kind: {name: column * factor for name, column in columns.items()}
+        for kind, columns in surfaces.tables.items()
+    }
+    camera = scene.camera
+    lengths = {
+        name: getattr(camera, name) * factor
+        for name in ("proj_distance", "view_width", "view_height")
+    }
+    scaled = Surfaces.from_tables(
+        tables,
+        shader_index=surfaces.shader_index,
+        file_index=surfaces.file_index,
+        shaders=surfaces.shaders,
+        line=surfaces.line,
+    )
+    eye = tuple(factor * x for x in camera.view_point)
+    return replace(
+        scene, camera=replace(camera, view_point=eye, **lengths), lights=[], surfaces=scaled
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_cylinders_are_visible_and_shadowed(seed: int) -> None:
+    scene = random_scene(seed)
+    assert any(isinstance(surface, Cylinder) for surface in scene.surfaces)
+    with np.errstate(all="ignore"):
+        expected = plain.render(scene)
+    np.testing.assert_allclose(render(scene), expected, rtol=0, atol=1e-9)
+
+
+def average(scene: Scene, side: int) -> Floats:
+    """Average side * side pictures of the plain renderer, whose rays are a uniform grid."""
+    offsets = (np.arange(side) + 0.5) / side - 0.5
+    with np.errstate(all="ignore"):
+        images = [plain.render(scene, (x, y)) for x in offsets for y in offsets]
+    return np.asarray(np.mean(images, axis=0))
+
+
+@pytest.mark.usefixtures("pixels_are_split")
+@pytest.mark.parametrize("seed", range(3))
+def test_cylinders_are_antialiased(seed: int) -> None:
+    scene = random_scene(seed, size=(48, 36))
+    truth = average(scene, 12)
+    error, grid_error = (
+        np.sqrt(np.mean((image - truth) ** 2)) for image in (render(scene, 16), average(scene, 4))
+    )
+    # The errors are 0.17 to 0.25 times those of the grid; without creases 0.25 to 1.26 times.
+    assert error < 0.3 * grid_error
+
+
+def prepare(shape_type: type[Shape], seed: int) -> tuple[Shape, Ints]:
+    """Prepare the objects of one kind in a random scene, and return their object indices."""
+    scene = PreparedScene(random_scene(seed))
+    (shape,) = (shape for shape in scene.shapes if isinstance(shape, shape_type))
+    return shape, shape.objects.list_indices()
+
+
+def trace(shape: Shape, objects: Ints, seed: int) -> tuple[Floats, Floats, Floats, Any]:
+    """Trace 300 random rays to each object: return ray_x, ray_y, t and `hit_data`, row by row."""
+    rng = np.random.default_rng(seed)
+    frame = shape.frame
+    x, y = rng.uniform((0, 0), (frame.width, frame.height), (300, 2)).T
+    ray_x, ray_y = (
+        frame.to_ray_x(np.tile(x, objects.size)),
+        frame.to_ray_y(np.tile(y, objects.size)),
+    )
+    return ray_x, ray_y, *shape.intersect(objects.repeat(300), ray_y, ray_x, None)
+
+
+EACH_SHAPE = pytest.mark.parametrize("shape_type", [Spheres, Boxes, Cylinders])
+EACH_SEED = pytest.mark.parametrize("seed", range(4))
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_a_result_depends_on_its_pair_only(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    ray_x, ray_y, t, hit_data = trace(shape, objects, seed)
+    assert 0 < np.count_nonzero(t < np.inf) < t.size
+    for index in range(0, t.size, 7):
+        pair = slice(index, index + 1)
+        object_index = objects[index // 300 : index // 300 + 1]
+        single = shape.intersect(object_index, ray_y[pair], ray_x[pair], np.array([1]))
+        np.testing.assert_array_equal(single, (t[pair], hit_data[pair]))
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_ranges_of_rows_are_exact(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    y = np.random.default_rng(seed).uniform(0, shape.frame.height, 200)
+    object_index, y = objects.repeat(y.size), np.tile(y, objects.size)
+    left, right = shape.find_x_range(object_index, y, 0.0)
+    appears = left <= right
+    assert np.count_nonzero(appears) > 0
+    ray_y, step = shape.frame.to_ray_y(y), np.minimum(1e-6, (right - left) / 4)
+
+    def is_hit(x: Floats) -> Bools:
+        t, _ = shape.intersect(object_index, ray_y, shape.frame.to_ray_x(x), None)
+        return np.isfinite(t)
+
+    assert is_hit((left + right) / 2)[appears].all()
+    for inner_x, outer_x in ((left + step, left - step), (right - step, right + step)):
+        assert is_hit(inner_x)[appears].all()
+        assert not is_hit(outer_x)[appears].any()
+    # Lines that the object does not meet.
+    other = np.random.default_rng(1).uniform(0, shape.frame.width, y.size)
+    assert not is_hit(other)[~appears].any()
+    # A row contains the ranges of its lines.
+    for height in (1e-3, 1.0):
+        row_left, row_right = shape.find_x_range(object_index, y - height / 3, height)
+        assert (row_left <= left + 1e-9)[appears].all()
+        assert (row_right >= right - 1e-9)[appears].all()
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_tangent_planes_and_faces_agree_with_hits(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    ray_x, ray_y, t, hit_data = trace(shape, objects, seed)
+    is_hit = t < np.inf
+    hit_object, t, hit_data = objects.repeat(300)[is_hit], t[is_hit], hit_data[is_hit]
+    ray = ray_x[is_hit], ray_y[is_hit], np.full(t.size, shape.frame.depth)
+    to_hit = np.array(ray) * t
+    ones = np.ones(t.size, dtype=np.intp)
+    planes = shape.compute_tangent_planes(hit_object, ones, to_hit, t, hit_data)
+    size = shape.coordinate_bound.max() + np.abs(shape.frame.eye).sum()
+    np.testing.assert_allclose(dot(planes.normal, planes.normal), 1, atol=1e-12)
+    height = -dot(planes.normal, (to_hit[0], to_hit[1], to_hit[2]))
+    np.testing.assert_allclose(planes.eye_height, height, atol=1e-12 * size)
+    assert (height > -1e-12 * size).all()
+    points = shape.frame.point_to_scene((to_hit[0], to_hit[1], to_hit[2]))
+    np.testing.assert_allclose(shape.measure_distance(hit_object, points), 0, atol=1e-12 * size)
+    is_planar = planes.face_axis != NO_AXIS
+    assert shape.has_planar_faces == is_planar.any()
+    assert shape.has_curved_face == (~is_planar).any()
+    coordinate = np.array(points)[planes.face_axis[is_planar], is_planar]
+    np.testing.assert_allclose(planes.face_position[is_planar], coordinate, atol=1e-12 * size)
+    codes = hit_data if shape.has_planar_faces else np.full(t.size, CURVED_FACE)
+    expected_code = np.where(
+        is_planar, 2 * planes.face_axis + (planes.normal_sign > 0), CURVED_FACE
+    )
+    np.testing.assert_array_equal(codes, expected_code)
+    for code in np.unique(codes).tolist():
+        index = find(codes == code)
+        face_ray = tuple(component[index][None] for component in ray)
+        inverse_t = shape.compute_inverse_t(code, hit_object[index], face_ray)
+        np.testing.assert_allclose(inverse_t[0] * t[index], 1, atol=1e-9)
+        if code == CURVED_FACE:
+            normal = shape.compute_normals(hit_object[index], face_ray, inverse_t)
+            cosine = dot(normal, map_xyz(lambda n, i=index: n[i], planes.normal))
+            np.testing.assert_allclose(cosine, np.sqrt(dot(normal, normal)), rtol=1e-9)
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_capsules_agree_with_their_segments(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    rng = np.random.default_rng(seed)
+    object_index = objects.repeat(400)
+    low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
+    start, end = ((low + high) / 2 + rng.normal(size=low.shape) * (high - low) for _ in "se")
+    radius = 0.1 * rng.random(object_index.size)
+    may_block, blocks_all = shape.test_capsules(object_index, tuple(start), tuple(end), radius)
+    light_side = shape.find_light_side(object_index, tuple(end))
+    grown = shape.occludes(object_index, tuple(start), tuple(end), light_side, radius)
+    assert not (grown & ~may_block).any()
+    assert may_block.any()
+    assert not may_block.all()
+    for _ in range(20):
+        offset = rng.normal(size=start.shape)
+        offset *= radius * rng.random(radius.size) / np.linalg.norm(offset, axis=0)
+        hit = tuple(start + offset)
+        occludes = shape.occludes(object_index, hit, tuple(end), light_side)
+        assert not (occludes & ~may_block).any()
+        assert not (blocks_all & ~occludes).any()
+    tiny = shape.occludes(
+        object_index, tuple(start), tuple(end), light_side, -99 * np.ones(radius.size)
+    )
+    assert not tiny[light_side == OUTSIDE].any()
+
+
+@EACH_SHAPE
+@np.errstate(all="ignore")
+def test_no_power_of_a_length_is_above_the_fourth(shape_type: type[Shape]) -> None:
+    # Coordinates of up to 2^248 = 5e74, and lengths from 2^-243 = 7e-74.
+    results = []
+    for exponent in (0, 244, -240):
+        scene = scale_scene(random_scene(0), 2.0**exponent)
+        prepared = PreparedScene(scene)
+        (shape,) = (shape for shape in prepared.shapes if isinstance(shape, shape_type))
+        objects = shape.objects.list_indices()
+        _, _, t, hit_data = trace(shape, objects, 0)
+        rng = np.random.default_rng(0)
+        low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
+        start, end = ((low + high) / 2 + rng.normal(size=low.shape) * (high - low) for _ in "se")
+        object_index = objects.repeat(400)
+        side = shape.find_light_side(object_index, tuple(end))
+        segments = object_index, tuple(start), tuple(end)
+        radius = 0.1 * (high - low)[0]
+        x_range = shape.find_x_range(objects, np.full(objects.size, 20.5), 0.0)
+        results.append(
+            [
+                t,
+                np.zeros(0) if shape_type is Spheres else hit_data,
+                shape.occludes(*segments, side),
+                shape.occludes(*segments, side, radius),
+                *shape.test_capsules(*segments, radius),
+                *x_range,
+                *shape.bounds,
+            ]
+        )
+    for result in zip(*results, strict=True):
+        np.testing.assert_allclose(result[1], result[0], rtol=1e-12)
+        np.testing.assert_allclose(result[2], result[0], rtol=1e-12)
+
+
+@np.errstate(all="ignore")
+def test_equal_planes_are_met_at_the_same_t() -> None:
+    # The caps of a cylinder, and the faces of two boxes, lie in the planes y = -1/3 and y = 0.1.
+    low, high = -1 / 3, 0.1
+    center, half_height = (low + high) / 2, (high - low) / 2
+    low, high = center - half_height, center + half_height
+    boxes = [Box(min_pt=(x, low, -9), max_pt=(x + 18, high, 9)) for x in (-9, -8)]
+    for eye_y in (5.1, -3.7):
+        camera = Camera(
+            view_point=(0.3, eye_y, 0.2), view_dir=(0.1, -eye_y, 0.1), view_up=(0, 0, 1)
+        )
+        scene = scene_of(*boxes, camera=camera, size=(40, 40), lights=(0, 9, 0))
+        disc = Cylinder(center=(0, center, 0), radius=9.0, half_height=half_height)
+        shapes = PreparedScene(replace(scene, surfaces=add_cylinders(scene, disc))).shapes
+        ts = [trace(s, s.objects.list_indices()[:1], 0)[2] for s in shapes]
+        np.testing.assert_array_equal(ts[0], ts[1])
+        second_box = trace(shapes[0], shapes[0].objects.list_indices()[1:], 0)[2]
+        np.testing.assert_array_equal(ts[0], second_box)
+        assert np.isfinite(ts[0]).all()
