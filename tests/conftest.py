@@ -77,7 +77,10 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Divide pictures into many tiles, and share even the smallest pictures with an executor."""
-    monkeypatch.setattr("tracer.picture.render.MIN_SHARED_SECONDS", 0)
+    from tracer.picture import render
+
+    for name in ("PROCESSES", "THREADS"):
+        monkeypatch.setattr(render, name, getattr(render, name)._replace(min_seconds=0))
     monkeypatch.setattr("tracer.picture.render._MAX_TILE_SAMPLES", 1000)
     monkeypatch.setattr("tracer.picture.render._ADAPTIVE_FACTOR", 1)
 

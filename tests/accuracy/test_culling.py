@@ -27,7 +27,7 @@ from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Bools, Floats, Ints
 from tracer.geometry.camera import ScreenBounds, compute_frame
 from tracer.geometry.sphere import Spheres
-from tracer.picture.render import RenderJob
+from tracer.picture.render import PROCESSES, RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import compute_radiance
@@ -239,7 +239,7 @@ def test_threads_share_prepared_lights(monkeypatch):
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same holds if threads render the tiles of a picture.
         monkeypatch.setattr("tracer.picture.render._MAX_TILE_SECONDS", 1e-4)
-        assert len(RenderJob(scene).divide(is_shared=True)) > 10
+        assert len(RenderJob(scene).divide(PROCESSES)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
 
 

@@ -21,7 +21,7 @@ from running import run, write_ball
 from tracer import Scene, render
 from tracer.picture import parallel
 from tracer.picture import render as render_module
-from tracer.picture.render import RenderJob
+from tracer.picture.render import PROCESSES, RenderJob
 
 # Number of random cases: some in the quick run, many in the slow run.
 some_or_many = pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_two_items_per_processor_are_submitted(processors, monkeypatch):
     executor = UnreliableExecutor(FAILURES["never ended"], 0)
     executor.failure_rate = 1
     assert np.array_equal(render(sphere_scene(), executor=executor), render(sphere_scene()))
-    tiles = len(RenderJob(sphere_scene()).divide(is_shared=True))
+    tiles = len(RenderJob(sphere_scene()).divide(PROCESSES))
     assert executor.failure_count == min(2 * processors, tiles * processors // (processors + 1))
 
 
@@ -245,7 +245,8 @@ def send_a_part(self, data, *rest):
     send(self, data, *rest)
 
 Connection._send = send_a_part
-module.MIN_SHARED_SECONDS, module._MAX_TILE_SAMPLES = 0, 1000
+module.PROCESSES = module.PROCESSES._replace(min_seconds=0)
+module._MAX_TILE_SAMPLES = 1000
 scene = load_scene(sys.argv[1])
 alone = render(scene)
 for k in range(count):

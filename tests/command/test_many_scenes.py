@@ -89,7 +89,7 @@ def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
     """Otherwise the main process would silently repeat the work of all workers."""
     path = scenes[0]
     settings = Settings(samples=1, size=None, file_format="png", quiet=True)
-    report = batch._process_in_worker(settings, Job(str(path), f"{path}.png"))
+    report = batch._process_in_worker(settings, Job(str(path), f"{path}.png", 1.0))
     (width, height), _ = read_codes(path)
     assert report == batch.Report(pixel_count=width * height)
     shared = Job(str(path), f"{path}.png", min_shared_seconds=0)

@@ -28,7 +28,7 @@ from tracer.command import cli
 from tracer.picture import parallel
 from tracer.picture import render as render_module
 from tracer.picture.parallel import WorkerPool
-from tracer.picture.render import RenderJob, render_tiles
+from tracer.picture.render import PROCESSES, THREADS, RenderJob, render_tiles
 
 SCENES = ROOT / "scenes"
 
@@ -48,12 +48,12 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
     monkeypatch.setattr(render_module, "count_processors", lambda: processors)
     width, height = size
     scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
-    for shared in (False, True):
+    for sharing in (None, PROCESSES, THREADS):
         job = RenderJob(scene, samples)
-        tiles = job.divide(is_shared=shared)
+        tiles = job.divide(sharing)
         max_seconds = 0.25 / (1 + samples / 10_000)
         assert len(tiles) >= min(job.seconds / max_seconds, width * height)
-        assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not shared
+        assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not sharing
         counts = np.zeros((height, width), dtype=int)
         for tile in tiles:
             counts[tile] += 1
@@ -84,7 +84,7 @@ def test_the_picture_is_the_same_however_it_is_divided(samples, monkeypatch):
     for seconds in (1e-9, 1e-4, 1):
         monkeypatch.setattr(render_module, "_MAX_TILE_SECONDS", seconds)
         images.append(render(scene, samples))
-    assert len(RenderJob(scene, samples).divide(is_shared=False)) == 1
+    assert len(RenderJob(scene, samples).divide(None)) == 1
     assert np.array_equal(images[0], images[2])
     assert np.array_equal(images[1], images[2])
 
@@ -119,7 +119,7 @@ def test_leaving_early_drops_the_remaining_items_and_ends_the_pool(small_tiles):
     job = RenderJob(sphere_scene())
     with closing(WorkerPool(1)) as pool:
         work = parallel.Distribution(job.render_tile, job.render_tile, 1, pool)
-        with closing(work.process(job.divide(is_shared=True))) as results:
+        with closing(work.process(job.divide(PROCESSES))) as results:
             next(results)
             assert multiprocessing.active_children()
         assert (work._waiting, work._futures) == (deque(), {})

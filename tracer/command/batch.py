@@ -1,16 +1,17 @@
 """Render many scene files to pictures with all processors.
 
-Several processes can divide the work in two ways.  (1) Each process takes whole scenes: it reads
-them, renders them and writes the pictures, so the processes exchange only names and lines of text.
-This is best for many scenes.  (2) All processes share the tiles of one picture.  This is best for a
-single large picture.
+Several workers can divide the work in two ways.  (1) Each worker takes whole scenes: it reads them,
+renders them and writes the pictures, so processes exchange only names and lines of text.  This is
+best for many scenes.  (2) All share the tiles of one picture.  This is best for a single large
+picture.
 
 A batch combines both.  It has one list of *items* (see `Distribution`), which are scenes and tiles.
-A worker process declines a scene that is large, or that is one of the last and not small.  The main
-process, which is that of the command, then reads the scene, puts the tiles of the picture in front
-of the other items, and writes the picture.
+A worker declines a scene that is large, or that is one of the last and not small.  The main thread
+of the command, which works, too, then reads the scene, puts the tiles of the picture in front of
+the other items, and writes the picture.
 
-The worker processes are started only if the remaining work takes longer than starting them.
+Workers are processes, or threads where Python has no lock.  They are started only if the remaining
+work takes longer than starting them.
 """
 
 from __future__ import annotations
@@ -45,13 +46,15 @@ from tracer.picture.linear import (
     write_npy,
 )
 from tracer.picture.lint import Exposure, lint_scene
-from tracer.picture.parallel import Distribution, WorkerPool
+from tracer.picture.parallel import Distribution, Threads, WorkerPool, has_lock
 from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
 from tracer.picture.render import (
-    MIN_SHARED_SECONDS,
+    PROCESSES,
+    THREADS,
     EncodedTile,
     Rectangle,
     RenderJob,
+    Sharing,
     render_tiles,
 )
 from tracer.scene.model import Scene
@@ -99,12 +102,12 @@ class Job(NamedTuple):
 
     scene_path: str  # "-" is standard input
     output_path: str  # "-" is standard output
-    # Minimum estimated seconds of rendering for which all processes share the picture.
-    min_shared_seconds: float = MIN_SHARED_SECONDS
+    # Minimum estimated seconds for which all workers share the picture; chosen by `Batch`.
+    min_shared_seconds: float = 0.0
 
 
 class _Tile(NamedTuple):
-    """A tile of a picture that all processes share: an item of the list."""
+    """A tile of a picture that all workers share: an item of the list."""
 
     render_job: RenderJob
     rectangle: Rectangle
@@ -126,20 +129,27 @@ class Report(NamedTuple):
 class Batch:
     """A renderer of many scene files, which uses all processors and prints a line for each scene.
 
-    Call `close` at the end: it ends the worker processes.
+    Call `close` at the end: it ends the workers.
 
     Parameters
     ----------
     max_processes
-        Maximum number of processes, including the calling process.
+        Maximum number of processes or threads, including the calling one.
     """
 
+    _pool: WorkerPool | Threads
+    _sharing: Sharing
+
     def __init__(self, settings: Settings, max_processes: int) -> None:
-        initializer = partial(_init_worker, get_part_prefix())
-        self._settings, self._pool = settings, WorkerPool(max_processes - 1, initializer)
+        self._settings, worker_count = settings, max_processes - 1
+        if has_lock():
+            initializer = partial(_init_worker, get_part_prefix())
+            self._pool, self._sharing = WorkerPool(worker_count, initializer), PROCESSES
+        else:
+            self._pool, self._sharing = Threads(worker_count), THREADS
 
     def close(self) -> None:
-        """End the worker processes, if there are any, and remove their part files."""
+        """End the workers, if there are any, and remove part files of processes."""
         self._pool.close()
         remove_part_files()
 
@@ -150,13 +160,14 @@ class Batch:
         Return whether all pictures were written.
         """
         worker_count = self._pool.worker_count
-        # At the end, too few scenes are left to occupy all processes.  So any large one among them
-        # is divided among the processes.
+        # At the end, too few scenes are left to occupy all workers.  So any large one among them is
+        # divided.
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        items = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        items[unshared_count:] = jobs[unshared_count:]
-        # If a worker declines a job or fails, for example because it lacks memory, this process
-        # does the job.
+        limits = [_MAX_UNSHARED_SECONDS] * unshared_count
+        limits += [self._sharing.min_seconds] * (len(jobs) - unshared_count)
+        items = [Job(*job[:2], limit) for job, limit in zip(jobs, limits, strict=True)]
+        # If a worker declines a scene or fails, for example because it lacks memory, this thread
+        # renders the scene.
         self._distribution = Distribution[Job | _Tile, Any](
             self._process,
             partial(_process_in_worker, self._settings),
@@ -180,7 +191,7 @@ class Batch:
         return has_succeeded
 
     def _process(self, item: Job | _Tile) -> Report | EncodedTile:
-        """Process an item in the main process.
+        """Process an item in the main thread.
 
         While a scene is rendered, the progress is shown, and items are submitted to the workers.
         """
@@ -189,14 +200,16 @@ class Batch:
         start_time, encode = perf_counter(), FORMATS[self._settings.file_format].encode
         try:
             render_job = _make_render_job(item, self._settings)
-            if render_job.seconds * (self._job_count - self._finished_count) >= MIN_SHARED_SECONDS:
+            # The other scenes presumably take about as long.
+            seconds = render_job.seconds * (self._job_count - self._finished_count)
+            if seconds >= self._sharing.min_seconds:
                 self._use_workers()
             if render_job.seconds >= item.min_shared_seconds:
-                rectangles = render_job.divide(is_shared=self._pool.worker_count > 0)
+                rectangles = render_job.divide(self._sharing if self._pool.worker_count else None)
                 items = [_Tile(render_job, rectangle, encode) for rectangle in rectangles]
                 tiles = self._distribution.process(items)
             else:
-                tiles = render_tiles(render_job, encode)
+                tiles = render_tiles(render_job, encode, threads=1)
             with closing(tiles):
                 tracked_tiles = self._track(render_job, tiles)
                 return _write_picture(item, self._settings, render_job, tracked_tiles, start_time)
@@ -235,16 +248,18 @@ def _init_worker(part_prefix: str) -> None:
 
 
 def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | EncodedTile | None:
-    """Process an item in a worker process, or return None if all processes should share it.
+    """Process an item in a worker, or return None if the main thread should process it.
 
-    Raise Failure if it cannot be processed.  For example, a worker cannot read standard input.
+    Raise Failure if this fails.
     """
     if isinstance(item, _Tile):
         return item.render()
+    if item.scene_path == "-":  # only the main process can read standard input
+        return None
     start_time, render_job = perf_counter(), _make_render_job(item, settings)
     if render_job.seconds >= item.min_shared_seconds:
         return None
-    tiles = render_tiles(render_job, FORMATS[settings.file_format].encode)
+    tiles = render_tiles(render_job, FORMATS[settings.file_format].encode, threads=1)
     return _write_picture(item, settings, render_job, tiles, start_time)
 
 

@@ -5,8 +5,9 @@ solution has two parts.  (1) Any process can process any *item*, with the same r
 process depends on no other one: when no item is left to take, it repeats those that the workers
 have not finished.  So a worker that fails costs time, but no result.
 
-Processes are used rather than threads.  Between two operations on arrays, a thread needs the lock
-of the Python interpreter, so threads would often wait for each other.
+The workers of a command are processes: between two operations on arrays, a thread needs the lock of
+the Python interpreter, so threads would often wait for each other.  Where Python has no such lock
+(*free-threaded* Python), they are threads of this process, and `tracer.render` starts some, too.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from tracer.files import remove_part_files
 
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
-    from concurrent.futures import Future, ProcessPoolExecutor
+    from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -48,6 +49,28 @@ _MAX_END_SECONDS = 0.5
 def count_processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def has_lock() -> bool:
+    """Test whether this Python has a lock that lets only one thread run at a time."""
+    return bool(getattr(sys, "_is_gil_enabled", lambda: True)())
+
+
+def choose_thread_count(max_threads: int | None) -> int:
+    """Choose how many threads work on a task of the calling thread, itself included.
+
+    Without `max_threads`, all processors are used, but only for the main thread of a program that
+    `multiprocessing` has not started.  All others presumably share the processors already: if each
+    thread of a pool started one thread for each processor, they would be in each other's way.
+    """
+    if has_lock():
+        return 1
+    if max_threads is not None:
+        return max_threads
+    process_module = sys.modules.get("multiprocessing.process")
+    is_child = process_module is not None and process_module.parent_process() is not None
+    is_main = threading.current_thread() is threading.main_thread()
+    return count_processors() if is_main and not is_child else 1
 
 
 class Executor(Protocol):
@@ -168,7 +191,9 @@ class Distribution(Generic[_Item, _Result]):
         if futures:
             # Workers have probably not begun the item that was submitted last.
             task, future = futures.popitem()
-            max_seconds = max(task.seconds for task in tasks)
+            # Threads always answer.
+            has_threads = isinstance(self.executor, Threads)
+            max_seconds = None if has_threads else max(task.seconds for task in tasks)
             if future.cancel() or not _wait_for_any([*futures.values(), future], max_seconds):
                 del self._futures[task]
                 self._process_task(task)
@@ -202,11 +227,36 @@ class Distribution(Generic[_Item, _Result]):
             self._futures.pop(task).cancel()
 
 
-def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float) -> bool:
-    """Wait until any of the futures is done; return False if none is after the time limit."""
+def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float | None) -> bool:
+    """Wait until any future is done; return False if none is after the time limit, if any."""
     from concurrent.futures import FIRST_COMPLETED, wait
 
     return bool(wait(futures, max_seconds, return_when=FIRST_COMPLETED).done)
+
+
+class Threads:
+    """Threads of this process, which are started when work is submitted, as workers.
+
+    No thread is left after `close`, so none can hold a lock while the process is forked.
+    """
+
+    def __init__(self, worker_count: int) -> None:
+        self.worker_count = worker_count
+        self._executor: ThreadPoolExecutor | None = None
+
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Schedule a call in a thread: see `Executor`."""
+        if self._executor is None:
+            from concurrent.futures import ThreadPoolExecutor
+
+            self._executor = ThreadPoolExecutor(self.worker_count)
+        return self._executor.submit(function, *args)
+
+    def close(self) -> None:
+        """Cancel the work that no thread has begun, and wait until all threads have ended."""
+        if self._executor is not None:
+            self._executor.shutdown(cancel_futures=True)
+            self._executor = None
 
 
 class WorkerPool:

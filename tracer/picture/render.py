@@ -23,7 +23,8 @@ import operator
 import pickle
 import warnings
 from collections.abc import Callable, Generator
-from functools import cached_property, lru_cache
+from contextlib import closing
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise, product
 from math import isqrt, sqrt
 from typing import Annotated as Shaped
@@ -36,7 +37,13 @@ from tracer.antialias.refine import average_pixels, is_supersampling_cheaper
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, lint_scene
 from tracer.picture.memory import keep_freed_memory
-from tracer.picture.parallel import Distribution, Executor, count_processors
+from tracer.picture.parallel import (
+    Distribution,
+    Executor,
+    Threads,
+    choose_thread_count,
+    count_processors,
+)
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import compute_radiance
@@ -50,10 +57,9 @@ _IGNORE_FLOAT_ERRORS = np.errstate(all="ignore")
 # the factor: few pixels are divided there, and the arrays of their samples should be long, too.
 _MAX_TILE_SAMPLES, _ADAPTIVE_FACTOR = 3 * CACHE_SIZE, 4
 
-# Maximum estimated seconds for a tile, so that a bar shows progress and processes share the work
-# evenly.  Minimum estimated seconds for a tile of a shared picture: in smaller tiles, the overhead
-# of NumPy calls and of communication is significant.
-_MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
+# Maximum estimated seconds for a tile, so that a bar shows progress and workers share the work
+# evenly.
+_MAX_TILE_SECONDS = 0.2
 
 # Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
 # few pixels take most of the time, so some tiles exceed their estimates by more.  None of 90 tiles
@@ -84,8 +90,22 @@ _ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 
 # the pixels around each tile are classified, too.
 _MAX_ADAPTIVE_FACTOR = 2
 
-MIN_SHARED_SECONDS = 0.1
-"""Minimum estimated seconds of rendering for which it is worth using other processes."""
+
+class Sharing(NamedTuple):
+    """What is worth sharing among workers, in estimated seconds."""
+
+    min_seconds: float  # minimum for a picture, or for all pictures of a command
+    min_tile_seconds: float  # minimum for a tile: in smaller ones, the overhead is significant
+    # Whether the number of tiles is a multiple of the number of processors, so that few tiles end
+    # at about the same time.
+    is_even: bool
+
+
+PROCESSES = Sharing(min_seconds=0.1, min_tile_seconds=0.02, is_even=False)
+"""For processes, which have to be started and prepare the scene again."""
+
+THREADS = Sharing(min_seconds=0.02, min_tile_seconds=0.01, is_even=True)
+"""For threads of this process."""
 
 # Maximum number of samples per pixel.
 _MAX_SAMPLES = 999_999_999
@@ -104,6 +124,7 @@ def render(
     *,
     executor: Executor | None = None,
     offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
+    threads: SupportsIndex | None = None,
 ) -> Floats:
     """Render a scene to an array of linear radiance.
 
@@ -121,6 +142,12 @@ def render(
         calling process renders the whole picture.
     offset : (float, float)
         Distances to the right and down, in pixels, by which every sample is shifted.
+    threads : int, optional
+        Number of threads that render the picture where Python has no global lock (free-threaded
+        Python); elsewhere, and with an executor, it is 1.  By default, there is one thread for each
+        processor in the main thread of a program, and 1 in other threads and in processes that
+        `multiprocessing` has started: many pictures at once are rendered faster if each of them has
+        one thread.
 
     Returns
     -------
@@ -130,9 +157,11 @@ def render(
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, `samples` is not an integer, or `executor` is not an executor.
+        If `scene` is not a Scene, `samples` or `threads` is not an integer, or `executor` is not an
+        executor.
     ValueError
-        If `samples` is less than 1 or more than 999,999,999, or `offset` is not two finite numbers.
+        If `samples` is less than 1 or more than 999,999,999, `threads` is less than 1, or `offset`
+        is not two finite numbers.
 
     Warns
     -----
@@ -149,9 +178,7 @@ def render(
         message = "executor must be a concurrent.futures.Executor"
         raise TypeError(f"{message}: from a Dask client, client.get_executor()")
     job = RenderJob(scene, samples, offset)
-    if job.seconds < MIN_SHARED_SECONDS:
-        executor = None
-    tiles = job.divide(is_shared=executor is not None)
+    thread_count = job.choose_thread_count(threads)
     # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
 
@@ -161,21 +188,36 @@ def render(
     def fits_tile(rectangle: Rectangle, result: object) -> bool:
         return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
 
-    distribution = Distribution[Rectangle, Any](
-        render_into_image, job.render_tile, count_processors(), executor, fits_tile
-    )
-    for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
-        if radiance is not None:  # it comes from the executor
-            image[rectangle] = radiance
+    with closing(Threads(thread_count - 1)) as pool:
+        if executor is None:
+            sharing = THREADS if thread_count > 1 else None
+            distribution = Distribution[Rectangle, Any](
+                render_into_image, render_into_image, pool.worker_count, pool
+            )
+        else:
+            sharing = PROCESSES if job.seconds >= PROCESSES.min_seconds else None
+            distribution = Distribution[Rectangle, Any](
+                render_into_image,
+                job.render_tile,
+                count_processors() if sharing else 0,
+                executor,
+                fits_tile,
+            )
+        tiles = job.divide(sharing)
+        for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
+            if radiance is not None:  # from the executor
+                image[rectangle] = radiance
     for warning in lint_scene(scene, job.prepared_scene, Exposure.from_radiance(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
-def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
+def to_png(
+    scene: Scene, samples: SupportsIndex = 1, *, threads: SupportsIndex | None = None
+) -> bytes:
     """Render a scene to the bytes of a PNG file.
 
-    To render many scenes, let each process of a pool render whole pictures::
+    To render many scenes, let each worker of a pool render whole pictures::
 
         pool.map(partial(tracer.to_png, samples=4), scenes)
 
@@ -185,6 +227,8 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
         The scene to render.
     samples : int
         Number of samples per pixel, as in `render`.
+    threads : int, optional
+        Number of threads, as in `render`: in a worker, 1 by default.
 
     Returns
     -------
@@ -194,11 +238,11 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, or `samples` is not an integer.
+        If `scene` is not a Scene, or `samples` or `threads` is not an integer.
     ValueError
-        If `samples` is less than 1 or more than 999,999,999.
+        If `samples` is less than 1 or more than 999,999,999, or `threads` is less than 1.
     """
-    write_png(file := io.BytesIO(), render(scene, samples))
+    write_png(file := io.BytesIO(), render(scene, samples, threads=threads))
     return file.getvalue()
 
 
@@ -210,11 +254,22 @@ class EncodedTile(NamedTuple):
 
 
 def render_tiles(
-    job: RenderJob, encode: Callable[..., Any] = compress_tile
+    job: RenderJob,
+    encode: Callable[..., Any] = compress_tile,
+    *,
+    threads: SupportsIndex | None = None,
 ) -> Generator[EncodedTile]:
-    """Render and encode the tiles of a picture, by default for a PNG file, in this process."""
-    for rectangle in job.divide(is_shared=False):
-        yield job.encode_tile(rectangle, encode)
+    """Render and encode the tiles of a picture, by default for a PNG file, in this process.
+
+    The number of threads is that of `render`.
+    """
+    thread_count = job.choose_thread_count(threads)
+    rectangles = job.divide(THREADS if thread_count > 1 else None)
+    encode_tile = partial(job.encode_tile, encode=encode)
+    with closing(Threads(thread_count - 1)) as pool:
+        yield from Distribution(encode_tile, encode_tile, pool.worker_count, pool).process(
+            rectangles
+        )
 
 
 def _compute_samples_per_side(samples: SupportsIndex) -> int:
@@ -287,19 +342,29 @@ class RenderJob:
         seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, scene.light_count)
         return sample_count * seconds_per_hit * scene.depth_complexity
 
-    def divide(self, *, is_shared: bool) -> list[Rectangle]:
+    def choose_thread_count(self, max_threads: SupportsIndex | None) -> int:
+        """Choose how many threads render the picture: see the argument `threads` of `render`."""
+        max_count = None if max_threads is None else operator.index(max_threads)
+        if max_count is not None and max_count < 1:
+            raise ValueError(f"threads must be at least 1, not {max_count}")
+        return choose_thread_count(max_count) if self.seconds >= THREADS.min_seconds else 1
+
+    def divide(self, sharing: Sharing | None) -> list[Rectangle]:
         """Divide the picture into tiles, from top to bottom and from left to right.
 
-        Tiles that several processes share may be smaller, so that each processor gets several.
+        Tiles that workers share may be smaller, so that each processor gets several.
         """
         width, height = self.prepared_scene.frame.width, self.prepared_scene.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         max_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
-        if is_shared:
+        divisor = 1
+        if sharing:
             fair_share = width * height / (_TILES_PER_PROCESSOR * count_processors())
-            max_pixels = min(max_pixels, max(_MIN_TILE_SECONDS * pixels_per_second, fair_share))
-        row_ranges = _divide_range(height, max(1, int(max_pixels / width)))
+            min_pixels = sharing.min_tile_seconds * pixels_per_second
+            max_pixels = min(max_pixels, max(min_pixels, fair_share))
+            divisor = count_processors() if sharing.is_even else 1
+        row_ranges = _divide_range(height, max(1, int(max_pixels / width)), divisor)
         return list(product(row_ranges, _divide_range(width, max(1, int(max_pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -368,11 +433,12 @@ def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
     return slice(picture_range.start - tile_range.start, picture_range.stop - tile_range.start)
 
 
-def _divide_range(length: int, max_length: int) -> list[slice]:
+def _divide_range(length: int, max_length: int, divisor: int = 1) -> list[slice]:
     """Divide the range from 0 to `length` into as few slices of at most `max_length` as possible.
 
-    Their lengths differ by at most 1.
+    If possible, their number is a multiple of `divisor`.  Their lengths differ by at most 1.
     """
     slice_count = -(-length // max_length)
+    slice_count = min(length, slice_count + -slice_count % divisor)
     bounds = [length * index // slice_count for index in range(slice_count + 1)]
     return [slice(start, stop) for start, stop in pairwise(bounds)]
