@@ -146,10 +146,20 @@ def test_stock_scenes_keep_their_coordinates():
     assert "moved and scaled" in convert_to_stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
 
 
-def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives():
-    """The fall-off hardly varies over a small matte ball far from its light."""
-    ball = Sphere(radius=0.5, shader=Lambertian(diffuse=(0.63, 0.35, 0.07)))
-    scene = close_up(ball, light=(300, 400, 500))
+@pytest.mark.parametrize(
+    "shader",
+    [
+        Lambertian(diffuse=(0.63, 0.35, 0.07)),
+        # Reflectances above 1, and those of shaders with a highlight, are divided by a number by
+        # which the lights are multiplied.  Here it is 1.26, and the highlight is too dark to see.
+        Lambertian(diffuse=(1.26, 0.7, 0.14)),
+        Phong(diffuse=(0.63, 0.35, 0.07), specular=(1e-6, 0, 0), exponent=1),
+    ],
+    ids=["matte", "bright", "with a highlight"],
+)
+def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives(shader):
+    """The fall-off hardly varies over a small ball far from its light."""
+    scene = close_up(Sphere(radius=0.5, shader=shader), light=(300, 400, 500))
     comment = convert_to_stock(scene).root.find("emitter")[0].text
     assert comment.startswith(" exact at a distance of ")
     assert float(comment.split()[-1]) == pytest.approx(707, rel=2e-3)

@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from skimage.metrics import structural_similarity
 
 from converters.rendering import Rendering
+from reference import figures
 from reference.check import CheckResult
 from reference.figures import (
     amplify_difference,
+    compare_codes,
     decode_to_linear,
     get_largest_difference,
     measure_differences,
@@ -97,6 +100,36 @@ def test_the_page_contains_everything_that_it_shows():
     blue = np.round(255 * 0.5695 * np.array([0.34, 0.71, 0.91]))
     np.testing.assert_array_equal(pictures[2][0, 0], blue)
     assert pictures[2][5, 7].tolist() == [76, 76, 76], "an excluded pixel is grey"
+
+
+@pytest.mark.parametrize("rows_per_band", [1, 5, 6, 7, 8, 23, 31, 32, 40])
+@pytest.mark.parametrize("size", [(32, 24), (32, 5), (6, 40), (7, 7)], ids=str)
+def test_a_comparison_in_bands_is_that_of_the_whole_pictures(size, rows_per_band, monkeypatch):
+    rng, (height, width) = np.random.default_rng(1), size
+    left = rng.integers(0, 256, (height, width, 3)).astype(np.uint8)
+    right = np.clip(left + rng.normal(0, 25, left.shape), 0, 255).astype(np.uint8)
+    monkeypatch.setattr(figures, "_PIXELS_PER_BAND", rows_per_band * width)
+    ssim, rmse, largest, difference = compare_codes(left, right)
+    # A picture that is smaller than a window is continued by its edge.
+    padding = [(0, max(7 - height, 0)), (0, max(7 - width, 0)), (0, 0)]
+    padded = [np.pad(codes / 255, padding, mode="edge") for codes in (left, right)]
+    expected = structural_similarity(*padded, win_size=7, channel_axis=2, data_range=1.0)
+    # The windows are computed in float32.
+    assert ssim == pytest.approx(expected, abs=1e-5)
+    assert 0.8 < ssim < 0.999
+    exact = (left / 255) ** 2.2 - (right / 255) ** 2.2
+    assert rmse == pytest.approx(np.sqrt((exact**2).mean()))
+    assert largest == pytest.approx(np.abs(exact).max())
+    np.testing.assert_allclose(difference, get_largest_difference(exact), atol=1e-7)
+
+
+def test_pixels_that_differ_by_more_than_a_thousandth_are_counted():
+    images = np.zeros((2, 4, 4, 3))
+    images[1, 0, :3, 1] = 0.99e-3, 1.01e-3, -0.5
+    images[1, 1, 0] = 2e-3  # one pixel, not three channels
+    metrics = measure_differences(*images)
+    assert metrics.differing_count == 3
+    assert str(metrics).endswith(" pixels over 1e-3: 3")
 
 
 @pytest.mark.parametrize(("largest", "gain"), [(0.9, 1), (0.34, 2), (0.15, 5), (0.0011, 500)])
