@@ -25,7 +25,8 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Annotated as Shaped
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,7 +95,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_command_parser() -> CommandParser:
-    """Create the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=check_path, metavar="SCENE.xml", help="the scene file")
@@ -111,10 +111,7 @@ def _make_command_parser() -> CommandParser:
 def _parse_positive_fraction(argument: str) -> Fraction:
     """Parse a command-line argument as a positive number or fraction, such as 1/128.
 
-    Raises
-    ------
-    ArgumentTypeError
-        If the argument is not a positive number or fraction.
+    Raise ArgumentTypeError if it is not one.
     """
     with suppress(OverflowError, ValueError, ZeroDivisionError):
         if float(fraction := Fraction(argument)) > 0:
@@ -122,25 +119,10 @@ def _parse_positive_fraction(argument: str) -> Fraction:
     raise argparse.ArgumentTypeError(f"must be a positive number or fraction, not {argument!r}")
 
 
-def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes of a picture, and check that its size matches a scene's.
+def _read_codes(path: str, scene: Scene) -> Shaped[Codes, "height width 3"]:
+    """Read the 8-bit codes of a picture.
 
-    Parameters
-    ----------
-    path : str
-        The picture file.
-    scene : Scene
-        The scene.  The picture must have its width and height.
-
-    Returns
-    -------
-    codes : (height, width, 3) uint8 array
-        The codes of the picture.
-
-    Raises
-    ------
-    Failure
-        If the picture cannot be read, or has a different size.
+    Raise Failure if the picture cannot be read, or if its size is not that of the scene.
     """
     codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
@@ -152,20 +134,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
 
 
 def _summarize_certificate(certificate: Certificate, permitted_error: Fraction) -> list[str]:
-    """Summarise what a certificate proves about a picture.
-
-    Parameters
-    ----------
-    certificate : Certificate
-        The picture, with bounds on the mean radiance of each pixel.
-    permitted_error : Fraction
-        Largest error that the user permits in the mean radiance of a pixel.
-
-    Returns
-    -------
-    lines : list of str
-        Two or three lines to print.
-    """
+    """Summarise what a certificate proves about a picture, in two or three lines."""
     pixel_count = certificate.error.size
     imprecise_pixel_count = np.count_nonzero(certificate.error > float(permitted_error))
     certain_pixel_count = np.count_nonzero(certificate.is_certain)
@@ -181,32 +150,27 @@ def _summarize_certificate(certificate: Certificate, permitted_error: Fraction) 
     return lines
 
 
-def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]:
-    """Count the 8-bit codes of a picture that the certificate proves wrong.
+class Judgement(NamedTuple):
+    """What a certificate proves about the codes of another picture."""
 
-    Parameters
-    ----------
-    certificate : Certificate
-        Bounds on the mean radiance of each pixel of the scene.
-    codes : (height, width, 3) uint8 array
-        The 8-bit codes of a picture of the scene.
+    wrong_count: int
+    verdict: str  # states this number, and describes the code that is farthest out of bounds
 
-    Returns
-    -------
-    wrong_count : int
-        Number of codes that no radiance within the bounds can produce.
-    verdict : str
-        A phrase that states this number, and describes the code that is farthest out of bounds.
-    """
+
+def count_wrong_codes(
+    certificate: Certificate, codes: Shaped[Codes, "height width 3"]
+) -> Judgement:
+    """Count the 8-bit codes of a picture that no radiance within the bounds can produce."""
     lowest_codes = to_codes(certificate.low).astype(int)
     highest_codes = to_codes(certificate.high).astype(int)
     deviation = np.maximum(np.maximum(lowest_codes - codes, codes - highest_codes), 0)
     wrong_count = int(np.count_nonzero(deviation))
     if not wrong_count:
-        return 0, "no code is certainly wrong"
-    worst_index = row, column, channel = np.unravel_index(deviation.argmax(), deviation.shape)
+        return Judgement(wrong_count=0, verdict="no code is certainly wrong")
+    worst_index = np.unravel_index(deviation.argmax(), deviation.shape)
+    row, column, channel = worst_index
     code_limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
     position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst_index]}"
     requirement = f"must be {' to '.join(map(str, code_limits))}"
     verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {deviation.max()}"
-    return wrong_count, f"{verdict}, {position} and {requirement}"
+    return Judgement(wrong_count=wrong_count, verdict=f"{verdict}, {position} and {requirement}")

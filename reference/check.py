@@ -32,6 +32,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
+from typing import Annotated as Shaped
 from typing import Literal, NamedTuple, TypeAlias
 from xml.etree import ElementTree as ET
 
@@ -69,24 +70,18 @@ STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
 
 
 class Limits(NamedTuple):
-    """Tolerances for the differences that Mitsuba's float32 arithmetic causes.
+    """Tolerances for the differences that Mitsuba's float32 arithmetic causes."""
 
-    Attributes
-    ----------
-    difference : float
-        Maximum difference of a pixel in linear radiance.  In pictures brighter than 1, it is
-        relative to the brightest pixel.
-    shift : float
-        A pixel may differ more if an edge is this close to its centre, in pixels along each axis.
-    """
-
+    # Maximum difference of a pixel in linear radiance.  In pictures brighter than 1, it is relative
+    # to the brightest pixel.
     difference: float
+    # A pixel may differ more if an edge is this close to its centre, in pixels along each axis.
     shift: float
 
 
-EXACT = Limits(1e-4, 0.003)
+EXACT = Limits(difference=1e-4, shift=0.003)
 # Mitsuba's built-in camera uses float32, and its shadow rays start above the surface.
-STOCK = Limits(1e-3, 0.03)
+STOCK = Limits(difference=1e-3, shift=0.03)
 
 MAX_EDGE_SHARE = 0.015  # maximum share of the picture's pixels that may differ because of edges
 MIN_SSIM = 0.999
@@ -96,54 +91,37 @@ MAX_MEDIAN = 1e-6  # maximum median of the differences
 # whole picture, so the first batch often suffices.
 _PIXELS_PER_BATCH = 100
 
-# Below this relative difference of radii, or this distance in pixels, float64 may show the wrong
-# one of two surfaces.
-_MAX_GROWTH, _MAX_SHIFT = 1e-12, 1e-6
+# Below this relative difference of radii, float64 may show the wrong one of two surfaces.
+_MAX_GROWTH = 1e-12
+
+# The same for the distance of a sample from an edge, in pixels.
+_MAX_SHIFT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The comparison of two pictures of a scene, rendered by the tracer and by Mitsuba.
+    """The comparison of two pictures of a scene, rendered by the tracer and by Mitsuba."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the scene.
-    tracer_image : (h, w, 3) float array
-        The tracer's picture, in linear radiance.
-    tracer_seconds : float
-        Time of the tracer's second rendering, because the first takes longer.
-    mitsuba : Rendering
-        Mitsuba's picture, with Mitsuba's variant and the rendering time.
-    differs_at_edge : (h, w) bool array
-        Pixels that differ, but may do so because an edge is close to their centre.
-    is_tie : (h, w) bool array
-        Pixels that differ, but are right in both pictures, because two surfaces coincide.
-    is_disputed : (h, w) bool array
-        All other pixels that differ.
-    is_examined : (h, w) bool array
-        Disputed pixels that were traced in exact arithmetic: a sample, or all of them.
-    is_wrong : (h, w) bool array
-        Examined pixels in which exact arithmetic contradicts the tracer.
-    metrics : Metrics
-        Measures of the difference between the pictures, without edge pixels and ties.  In pictures
-        brighter than 1, they are relative to the brightest pixel.
-    """
-
-    name: str
-    tracer_image: Floats
-    tracer_seconds: float
+    name: str  # of the scene
+    tracer_image: Shaped[Floats, "height width 3"]
+    tracer_seconds: float  # time of the second rendering, because the first takes longer
     mitsuba: Rendering
-    differs_at_edge: Bools
-    is_tie: Bools
-    is_disputed: Bools
-    is_examined: Bools
-    is_wrong: Bools
+    # Pixels that differ, but may do so because an edge is close to their centre.
+    differs_at_edge: Shaped[Bools, "height width"]
+    # Pixels that differ, but are right in both pictures, because two surfaces coincide.
+    is_tie: Shaped[Bools, "height width"]
+    is_disputed: Shaped[Bools, "height width"]  # all other pixels that differ
+    # Disputed pixels that were traced in exact arithmetic: a sample, or all of them.
+    is_examined: Shaped[Bools, "height width"]
+    # Examined pixels in which exact arithmetic contradicts the tracer.
+    is_wrong: Shaped[Bools, "height width"]
+    # Without edge pixels and ties.  In pictures brighter than 1, they are relative to the brightest
+    # pixel.
     metrics: Metrics
 
     @property
-    def is_excluded(self) -> Bools:
-        """Mask (h, w) of the pixels excluded from the metrics: edge pixels and ties."""
+    def is_excluded(self) -> Shaped[Bools, "height width"]:
+        """Pixels that are excluded from the metrics: edge pixels and ties."""
         return self.differs_at_edge | self.is_tie
 
     @property
@@ -191,25 +169,14 @@ class CheckResult:
         return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
 
 
-def _format_pixel_count(mask: Bools) -> str:
-    """Format the number of True pixels in a mask (h, w), such as "1,234 pixels"."""
+def _format_pixel_count(mask: Shaped[Bools, "height width"]) -> str:
+    """Format the number of True pixels in a mask, such as "1,234 pixels"."""
     pixel_count = int(mask.sum())
     return f"{pixel_count:,} pixel{'s' * (pixel_count != 1)}"
 
 
 def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
-    """Describe the measures of difference that are out of tolerance.
-
-    Parameters
-    ----------
-    metrics : Metrics
-        Measures of the difference between the pictures.
-
-    Returns
-    -------
-    clauses : list of str
-        One clause for each of these measures, such as "SSIM 0.99800 is below 0.999".
-    """
+    """Describe the measures that are out of tolerance, each as "SSIM 0.99800 is below 0.999"."""
     clauses = []
     if metrics.ssim < MIN_SSIM:
         clauses.append(f"SSIM {metrics.ssim:.5f} is below {MIN_SSIM}")
@@ -218,27 +185,14 @@ def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
     return clauses
 
 
-def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find the pixels whose difference from the tracer's picture a nearby edge can explain.
+def find_pixels_near_edges(
+    scene: Scene, picture: Shaped[Floats, "height width 3"], shift: float, tolerance: float
+) -> Shaped[Bools, "height width"]:
+    """Find the pixels of another renderer's picture that a nearby edge can explain.
 
-    The tracer renders the scene four times, each time with all samples shifted diagonally.  If a
-    pixel's radiance lies in the range of these four pictures, a nearby edge can explain it.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    picture : (h, w, 3) float array
-        Picture of the scene by another renderer, in linear radiance.
-    shift : float
-        Distance by which samples are shifted along each axis, in pixels.
-    tolerance : float
-        Linear radiance by which a pixel may lie outside the range.
-
-    Returns
-    -------
-    is_near_edge : (h, w) bool array
-        Pixels whose radiance lies in this range.
+    The tracer renders the scene four times, each time with all samples shifted by `shift` pixels
+    along both axes.  A nearby edge can explain a pixel whose radiance lies in the range of these
+    four pictures, or within the tolerance of it.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
@@ -251,27 +205,15 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
 def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare the two pictures.
 
+    Raise Failure if the scene cannot be read, converted or compared.
+
     Parameters
     ----------
-    path : Path
-        The scene file.
-    variant : str, optional
-        Mitsuba's variant; by default the fastest that works on this machine.
-    flavour : str
+    variant
+        Mitsuba's variant; None for the fastest that works on this machine.
+    flavour
         "exact" to compare all light, using this project's Mitsuba plugins; "stock" to compare only
-        diffuse light, using Mitsuba's built-in plugins.
-
-    Returns
-    -------
-    result : CheckResult
-        Both pictures, statistics on how they differ, and the verdict.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read, converted or compared.
-    KeyError
-        If the flavour is unknown.
+        diffuse light, using Mitsuba's built-in plugins.  Others raise KeyError.
     """
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
@@ -283,26 +225,8 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
     """Compare how the tracer and this project's Mitsuba plugins render a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    name : str
-        Name of the scene in the result.
-    variant : str, optional
-        Mitsuba's variant; by default the fastest that works on this machine.
-
-    Returns
-    -------
-    result : CheckResult
-        Both pictures, statistics on how they differ, and the verdict.
-
-    Raises
-    ------
-    ConversionError
-        If Mitsuba cannot represent the scene.
-    ValueError
-        If a radiance is not finite.
+    Raise ConversionError if Mitsuba cannot represent the scene, and ValueError if a radiance is not
+    finite.
     """
     render_with_mitsuba = load_into_mitsuba(str(convert_to_exact(scene)), variant)
     if use_variant(variant).variant == LLVM:
@@ -314,28 +238,7 @@ def check_diffuse_light(scene: Scene, name: str, variant: str | None = None) -> 
     """Compare how the tracer and Mitsuba's stock plugins render the diffuse light of a scene.
 
     Stock plugins are built into Mitsuba.  They require square pixels, so the height of both
-    pictures may differ from the scene's.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    name : str
-        Name of the scene in the result.
-    variant : str, optional
-        Mitsuba's variant; by default the fastest that works on this machine.
-
-    Returns
-    -------
-    result : CheckResult
-        Both pictures, statistics on how they differ, and the verdict.
-
-    Raises
-    ------
-    ConversionError
-        If Mitsuba cannot represent the scene.
-    ValueError
-        If a radiance is not finite.
+    pictures may differ from the scene's.  Raise errors as `check_scene` does.
     """
     surfaces = Surfaces.from_objects(
         replace(surface, shader=Lambertian(diffuse=surface.shader.diffuse))
@@ -349,29 +252,14 @@ def check_diffuse_light(scene: Scene, name: str, variant: str | None = None) -> 
     return compare(diffuse_scene, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
-    """Render the diffuse light of a scene that has one light, using Mitsuba's stock plugins.
+def _render_diffuse_light(
+    diffuse_scene: Scene, variant: str | None
+) -> Shaped[Floats, "height width 3"]:
+    """Render a scene of Lambertian surfaces that has one light, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
     So each pixel's radiance is multiplied by the squared distance from the light to the point that
     the pixel shows.
-
-    Parameters
-    ----------
-    diffuse_scene : Scene
-        The scene, whose surfaces are Lambertian.
-    variant : str or None
-        Mitsuba's variant; None for the fastest that works on this machine.
-
-    Returns
-    -------
-    image : (h, w, 3) float array
-        Linear radiance of the pixels.
-
-    Raises
-    ------
-    ConversionError
-        If Mitsuba cannot represent the scene.
     """
     light = diffuse_scene.lights[0]
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
@@ -397,28 +285,8 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     """Render a scene with the tracer, and compare the picture with Mitsuba's.
 
     Differing pixels whose centre is close to an edge are excluded.  Some of the other differing
-    pixels are traced in exact arithmetic, to decide which picture is wrong.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    name : str
-        Name of the scene in the result.
-    rendering : Rendering
-        Mitsuba's picture, with Mitsuba's variant and the rendering time.
-    limits : Limits
-        Tolerances for the differences of single pixels.
-
-    Returns
-    -------
-    result : CheckResult
-        Both pictures, statistics on how they differ, and the verdict.
-
-    Raises
-    ------
-    ValueError
-        If the radiance of a pixel in either picture is not finite.
+    pixels are traced in exact arithmetic, to decide which picture is wrong.  Raise ValueError if a
+    radiance in either picture is not finite.
     """
     mitsuba_image = rendering.image
     if not np.isfinite(mitsuba_image).all():
@@ -465,37 +333,28 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     )
 
 
+class _JudgedPixels(NamedTuple):
+    """Masks of the pixels that exact arithmetic has judged: see `CheckResult`."""
+
+    is_tie: Shaped[Bools, "height width"]
+    is_examined: Shaped[Bools, "height width"]  # of the last batch; False if all are ties
+    is_wrong: Shaped[Bools, "height width"]
+
+
 def _judge_differing_pixels(
-    scene: Scene, tracer_image: Floats, mitsuba_image: Floats, is_different: Bools, tolerance: float
-) -> tuple[Bools, Bools, Bools]:
+    scene: Scene,
+    tracer_image: Shaped[Floats, "height width 3"],
+    mitsuba_image: Shaped[Floats, "height width 3"],
+    is_different: Shaped[Bools, "height width"],
+    tolerance: float,
+) -> _JudgedPixels:
     """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
-    A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
-    may be unable to tell the two apart.  If surfaces coincide, the tracer must show the one that
-    comes first in the scene file; Mitsuba may also show the last.
+    A pixel is right if its radiance is exact within the tolerance for the scene, or for a scene so
+    similar that float64 may be unable to tell the two apart.  If surfaces coincide, the tracer must
+    show the one that comes first in the scene file; Mitsuba may also show the last.
 
-    A pixel that is right in both pictures is a tie.  Pixels are examined in batches, until a batch
-    contains one that is not a tie.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    tracer_image, mitsuba_image : (h, w, 3) float arrays
-        The two pictures, in linear radiance.
-    is_different : (h, w) bool array
-        Pixels to examine.
-    tolerance : float
-        Permitted difference between a picture's radiance and the exact radiance.
-
-    Returns
-    -------
-    is_tie : (h, w) bool array
-        Pixels that are ties.
-    is_examined : (h, w) bool array
-        Pixels of the last batch that are not ties; all False if every pixel is a tie.
-    is_wrong : (h, w) bool array
-        Examined pixels in which the tracer is wrong.
+    Pixels are examined in batches, until a batch contains one that is not a tie.
     """
     is_tie, is_examined, is_wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
     positions = np.argwhere(is_different)
@@ -518,26 +377,13 @@ def _judge_differing_pixels(
         if not is_batch_tie.all():
             is_examined[rows, columns], is_wrong[rows, columns] = ~is_batch_tie, ~tracer_is_right
             break
-    return is_tie, is_examined, is_wrong
+    return _JudgedPixels(is_tie=is_tie, is_examined=is_examined, is_wrong=is_wrong)
 
 
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
     """Yield a scene, and variations so similar that float64 may be unable to tell them apart.
 
-    In two variations, the samples are shifted by 1e-6 of a pixel.  In two others, all spheres grow
-    or shrink by 1e-12 of their radius.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Yields
-    ------
-    similar_scene : Scene
-        The scene itself, or a copy with larger or smaller spheres.
-    shift : float
-        Distance by which to shift the samples to the right and down, in pixels.
+    Each comes with a shift of the samples, to the right and down, in pixels.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
@@ -590,15 +436,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     """Choose the exit status of a command that has compared several scenes.
 
-    Parameters
-    ----------
-    results : iterable of CheckResult or Failure
-        For each scene, the comparison, or the failure that prevented it.
-
-    Returns
-    -------
-    exit_status : int
-        0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
+    It is 0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
     """
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
@@ -608,26 +446,10 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
-    """Check one scene, print the result, and write a comparison picture.
+    """Check one scene, print the result, and write a comparison picture, as the options say.
 
-    Parameters
-    ----------
-    path : Path
-        The scene file.
-    comparison_path : Path
-        The PNG file to write, which shows both pictures and their difference side by side.
-    options : Namespace
-        The command-line options `variant` and `flavour`.
-
-    Returns
-    -------
-    result : CheckResult
-        Both pictures, statistics on how they differ, and the verdict.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read, converted or compared, or the picture cannot be written.
+    Raise Failure if the scene cannot be read, converted or compared, or the picture cannot be
+    written.
     """
     result = check_file(path, options.variant, options.flavour)
     picture_pair = to_codes(result.tracer_image), to_codes(result.mitsuba.image)

@@ -23,27 +23,21 @@ from reference.measured.measurements import describe_origin
 
 _FRAME_COUNT = 1_000_000
 
-# Assumptions, which are not measured: the price of a core for an hour in dollars; the memory, in
-# bytes, of the computer that gathers the results; and the number of frames in a larger task.
-_DOLLARS_PER_CORE_HOUR, _CLIENT_MEMORY, _FRAMES_PER_TASK = 0.05, 16e9, 100
+# Price of a core for an hour in dollars: an assumption.
+_DOLLARS_PER_CORE_HOUR = 0.05
+
+# Memory, in bytes, of the computer that gathers the results: an assumption.
+_CLIENT_MEMORY = 16e9
+
+# Number of frames in a larger task, which is proposed as a remedy.
+_FRAMES_PER_TASK = 100
 
 # Renderers whose whole CPU time can be measured: keys that `prepare_animation_commands` returns.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 
 def _measure_cpu_seconds(commands: list[list[str]]) -> float:
-    """Run commands one after another, and measure their CPU time.
-
-    Parameters
-    ----------
-    commands : list of lists of str
-        The commands, each a list of a program and its arguments.
-
-    Returns
-    -------
-    seconds : float
-        Total CPU time of the processes that the commands started and waited for.
-    """
+    """Run commands one after another, and measure the CPU time of their processes."""
     times_before = os.times()
     run_commands(commands)
     times_after = os.times()
@@ -52,17 +46,9 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
 
 
 def _measure_seconds_per_task(task_count: int) -> float:
-    """Measure how long Dask takes to schedule a task that does almost nothing.
+    """Measure the elapsed time in which Dask schedules a task that does almost nothing.
 
-    Parameters
-    ----------
-    task_count : int
-        Number of tasks to time.  As a warm-up, the same number of tasks runs untimed beforehand.
-
-    Returns
-    -------
-    seconds : float
-        Elapsed time per task.
+    As a warm-up, the same number of tasks runs untimed beforehand.
     """
     cluster_options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **cluster_options) as cluster, Client(cluster) as client:

@@ -28,19 +28,9 @@ def build_path(name: str) -> Path:
 
 
 def make_parser(module: str, quick_help: str | None = None) -> CommandParser:
-    """Create a command-line parser that prints a module's docstring as its help text.
+    """Create a command-line parser whose help is the docstring of a module, run by ``python -m``.
 
-    Parameters
-    ----------
-    module : str
-        Full name of the module that users run with ``python -m``.
-    quick_help : str, optional
-        Help text for an option ``--quick``.  By default, the parser does not have this option.
-
-    Returns
-    -------
-    parser : CommandParser
-        A parser to which the caller adds the other arguments.
+    With `quick_help`, which says what it reduces, the parser has an option ``--quick``.
     """
     parser = CommandParser(module)
     if quick_help:
@@ -51,25 +41,10 @@ def make_parser(module: str, quick_help: str | None = None) -> CommandParser:
 def forbid_overwriting_inputs(
     command_parser: CommandParser, output_paths: Iterable[Path], input_paths: Iterable[Path]
 ) -> None:
-    """Exit with a usage error if a command would overwrite one of its input files.
+    """Exit with a usage error (status 2) if a command would overwrite one of its input files.
 
-    Paths that lead to the same file through symbolic links count as equal.
-
-    Parameters
-    ----------
-    command_parser : CommandParser
-        The command's parser, which prints the error message.
-    output_paths : iterable of Path
-        Files that the command will write.
-    input_paths : iterable of Path
-        Files that the command will read.
-
-    Raises
-    ------
-    SystemExit
-        If an output file is also an input file; the exit status is 2.
-    Failure
-        If a path is relative, and the working folder has been deleted.
+    Paths that lead to the same file through symbolic links count as equal.  Raise Failure if a path
+    is relative, and the working folder has been deleted.
     """
     real_input_paths = {resolve_path(path, exit_status=MISUSED) for path in input_paths}
     for path in output_paths:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated as Shaped
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,27 +31,26 @@ _PIXELS_PER_BAND = 500_000
 _LARGE_DIFFERENCE = 1e-3
 # Percentile of the pixels' differences that is reported, and that limits their amplification.
 _PERCENTILE = 99.9
-# Pictures are enlarged, pixel by pixel, to panels at least this wide or high; lengths in pixels.
-_MIN_PANEL_SIDE, _MARGIN, _LABEL_HEIGHT, _FONT_SIZE = 300, 8, 24, 14
-_PAPER_COLOR, _INK_COLOR = (250, 250, 250), (30, 30, 30)
-# Colours that colour-blind readers can tell apart (M. Okabe and K. Ito, Color Universal Design,
-# 2008).
-_BRIGHTER_COLOR, _DARKER_COLOR = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
+# Pictures are enlarged, pixel by pixel, to panels at least this many pixels wide or high.
+_MIN_PANEL_SIDE = 300
+# Distance between panels in pixels.
+_MARGIN = 8
+# Height of a line of text in pixels.
+_LABEL_HEIGHT = 24
+# Size of the text in pixels.
+_FONT_SIZE = 14
+# 8-bit colour of the background.
+_PAPER_COLOR = (250, 250, 250)
+# 8-bit colour of the text.
+_INK_COLOR = (30, 30, 30)
+# Colours where the first picture is brighter and where it is darker.  Colour-blind readers can tell
+# them apart (M. Okabe and K. Ito, Color Universal Design, 2008).
+_BRIGHTER_COLOR = (1.0, 0.62, 0.0)
+_DARKER_COLOR = (0.34, 0.71, 0.91)
 
 
-def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
-    """Convert the 8-bit codes of a picture to linear light: (code / 255)^2.2.
-
-    Parameters
-    ----------
-    codes : int array of any shape
-        Codes from 0 to 255.
-
-    Returns
-    -------
-    linear_light : float array of the same shape
-        Linear light from 0 to 1.
-    """
+def decode_to_linear(codes: Shaped[NDArray[Any], "..."]) -> Shaped[Floats, "..."]:
+    """Convert the 8-bit codes of a picture to linear light from 0 to 1: (code / 255)^2.2."""
     light_by_code: Floats = (np.arange(256) / 255) ** GAMMA
     return np.asarray(light_by_code[codes])
 
@@ -61,25 +61,14 @@ class Metrics:
 
     The difference of a pixel is the largest absolute difference of its three channels.  Excluded
     pixels affect only the structural similarity.
-
-    Attributes
-    ----------
-    ssim : float
-        Structural similarity of the gamma-encoded pictures; 1 if they are equal.
-    max, percentile, median : float
-        Maximum, 99.9th percentile and median of the pixels' differences.
-    rmse : float
-        Root mean square of the differences of all channels.
-    differing_count : int
-        Number of pixels that differ by more than 1e-3.
     """
 
-    ssim: float
+    ssim: float  # structural similarity of the gamma-encoded pictures; 1 if they are equal
     max: float
-    percentile: float
-    rmse: float
+    percentile: float  # the 99.9th
+    rmse: float  # of all channels
     median: float
-    differing_count: int
+    differing_count: int  # number of pixels that differ by more than 1e-3
 
     def __str__(self) -> str:
         """Format all measures as one line of text."""
@@ -91,29 +80,16 @@ class Metrics:
 
 
 def measure_differences(
-    first_image: Floats, second_image: Floats, is_excluded: Bools | None = None
+    first_image: Shaped[Floats, "height width 3"],
+    second_image: Shaped[Floats, "..."],
+    is_excluded: Shaped[Bools, "height width"] | None = None,
 ) -> Metrics:
     """Measure how much two pictures differ in linear radiance.
 
-    Parameters
-    ----------
-    first_image, second_image : (height, width, 3) float arrays
-        The two pictures, in linear radiance.
-    is_excluded : (height, width) bool array, optional
-        Pixels to exclude from every measure except the structural similarity.
-
-    Returns
-    -------
-    metrics : Metrics
-        The structural similarity of the pictures; the maximum, 99.9th percentile, median and root
-        mean square of their differences; and the number of pixels that differ by more than 1e-3.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, a value is not finite, or every pixel is excluded.
+    Raise ValueError if the shapes differ, a value is not finite, or every pixel is excluded.
     """
-    shape, images = first_image.shape, (first_image, second_image)
+    shape = first_image.shape
+    images = first_image, second_image
     if shape != second_image.shape:
         raise ValueError(f"the pictures' shapes differ: {shape} and {second_image.shape}")
     if not all(np.isfinite(image).all() for image in images):
@@ -137,65 +113,60 @@ def measure_differences(
     )
 
 
-def compare_codes(codes_a: Codes, codes_b: Codes) -> tuple[float, float, float, Differences]:
+class Comparison(NamedTuple):
+    """How much two gamma-encoded pictures, A and B, differ in linear light."""
+
+    ssim: float  # structural similarity; 1 if they are equal
+    rmse: float  # of all channels
+    maximum: float  # of the absolute differences of all channels
+    # Difference of each pixel in the channel that differs most; positive if A is brighter.
+    difference: Shaped[Differences, "height width"]
+
+
+def compare_codes(
+    codes_a: Shaped[Codes, "height width 3"], codes_b: Shaped[Codes, "height width 3"]
+) -> Comparison:
     """Measure how much two gamma-encoded pictures differ in linear light.
 
-    Parameters
-    ----------
-    codes_a, codes_b : (height, width, 3) uint8 arrays
-        8-bit codes of pictures A and B.
-
-    Returns
-    -------
-    ssim : float
-        Structural similarity of the pictures; 1 if they are equal.
-    rmse, maximum : float
-        Root mean square and maximum of the absolute differences of all pixels and channels.
-    difference : (height, width) float32 array
-        For each pixel, the difference in the channel that differs most; positive if picture A is
-        brighter.
+    Large pictures are compared in bands, with the same result.
     """
     (height, width, _), window_margin = codes_a.shape, _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
     # Number of positions of an SSIM window along a column of pixels.
     top_row_count = max(1, height - window_margin)
-    ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
+    ssim = sum_of_squares = maximum = 0.0
+    difference_bands = []
     for band_start in range(0, height, band_height):
         # Windows whose top row is in the band may extend below it.
         rows = slice(band_start, band_start + band_height + window_margin)
         light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
         metrics = measure_differences(light_a, light_b)
+        # The bands' similarities are weighted by the number of windows that begin in them.
         weight = max(0, min(band_height, top_row_count - band_start)) / top_row_count
-        ssim, maximum = ssim + weight * metrics.ssim, max(maximum, metrics.max)
+        ssim += weight * metrics.ssim
+        maximum = max(maximum, metrics.max)
         channel_difference = (light_a - light_b)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
         difference_bands.append(get_largest_difference(channel_difference))
-    rmse = float(np.sqrt(sum_of_squares / codes_a.size))
-    return ssim, rmse, maximum, np.concatenate(difference_bands)
+    return Comparison(
+        ssim=ssim,
+        rmse=float(np.sqrt(sum_of_squares / codes_a.size)),
+        maximum=maximum,
+        difference=np.concatenate(difference_bands),
+    )
 
 
 def write_comparison(
-    path: str | Path, images: tuple[Codes, Codes], difference: Differences, titles: tuple[str, str]
+    path: str | Path,
+    images: tuple[Shaped[Codes, "height width 3"], Shaped[Codes, "height width 3"]],
+    difference: Shaped[Differences, "height width"],
+    titles: tuple[str, str],
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
-    Small pictures are enlarged, so that each pixel becomes a square.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file to write.  An existing file is replaced only if it is a PNG file.
-    images : tuple of two (height, width, 3) uint8 arrays
-        The left and the right picture, as 8-bit codes.
-    difference : (height, width) float32 array
-        For each pixel, the difference in linear radiance; positive if the left picture is brighter.
-    titles : tuple of two str
-        Titles of the left and the right picture.  Long titles are cut off.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    The difference is in linear radiance, positive if the left picture is brighter.  Small pictures
+    are enlarged, so that each pixel becomes a square, and long titles are cut off.  An existing
+    file is replaced only if it is a PNG file.  Raise OSError if the file cannot be written.
     """
     difference_codes, gain = amplify_difference(difference)
     panel_titles = (*titles, f"difference, {gain:,.10g} times" if gain else "no difference")
@@ -221,40 +192,23 @@ def write_comparison(
         sheet.save(file, format="PNG")
 
 
-def get_largest_difference(channel_difference: Floats) -> Differences:
-    """Return each pixel's largest difference among the three channels.
-
-    Parameters
-    ----------
-    channel_difference : (height, width, 3) float array
-        The difference between the pictures, in linear radiance.
-
-    Returns
-    -------
-    difference : (height, width) float32 array
-        For each pixel, the signed difference with the largest absolute value.
-    """
+def get_largest_difference(
+    channel_difference: Shaped[Floats, "height width 3"],
+) -> Shaped[Differences, "height width"]:
+    """Return each pixel's signed difference in the channel that differs most."""
     minimum, maximum = channel_difference.min(axis=2), channel_difference.max(axis=2)
     difference: Differences = np.where(maximum >= -minimum, maximum, minimum).astype(np.float32)
     return difference
 
 
-def amplify_difference(difference: Differences) -> tuple[Codes, float]:
-    """Amplify the difference between two pictures, and show it in colour.
+def amplify_difference(
+    difference: Shaped[Differences, "height width"],
+) -> tuple[Shaped[Codes, "height width 3"], float]:
+    """Amplify the difference between two pictures, and return it in colour, and the gain.
 
-    Parameters
-    ----------
-    difference : (height, width) float32 array
-        For each pixel, the difference in linear radiance; positive if the first picture is
-        brighter.
-
-    Returns
-    -------
-    codes : (height, width, 3) uint8 array
-        A picture that is orange where the first picture is brighter, and blue where it is darker.
-    gain : float
-        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, normally the
-        largest that clips at most 0.1 % of the pixels.  It is 0 if the pictures are equal.
+    The colour is orange where the first picture is brighter (the difference is positive), and blue
+    where it is darker.  The gain is 1, 2 or 5 times a power of ten, normally the largest that clips
+    at most 0.1 % of the pixels.  It is 0 if the pictures are equal.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
     max_shown_difference = float(np.percentile(np.abs(difference), _PERCENTILE))

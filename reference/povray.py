@@ -13,6 +13,7 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Annotated as Shaped
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ def is_installed() -> bool:
 
 
 def _format_vector(numbers: Iterable[float]) -> str:
-    """Format the three components of a vector or colour for POV-Ray, as "<x, y, z>"."""
+    """Format the three components of a vector or colour, as "<x, y, z>"."""
     return f"<{', '.join(repr(float(number)) for number in numbers)}>"
 
 
@@ -74,20 +75,7 @@ def _convert_camera(scene: Scene) -> str:
 
 
 def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
-    """Convert a scene to the language of POV-Ray 3.7.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    exposure : float
-        Factor by which the intensities of all lights are multiplied.
-
-    Returns
-    -------
-    povray_scene : str
-        The content of a POV-Ray scene file.
-    """
+    """Convert a scene to POV-Ray 3.7, with all lights multiplied by the exposure."""
     lines = [_HEADER, _convert_camera(scene)]
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
@@ -109,22 +97,9 @@ def prepare_command(
 ) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command that renders it.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    picture_path : Path
-        The picture that the command will write, by default as a PNG file.  The scene file is
-        written next to it, with the same name and the suffix .pov.
-    *options : str
-        Additional POV-Ray options.
-    exposure : float
-        Factor by which the intensities of all lights are multiplied.
-
-    Returns
-    -------
-    command : list of str
-        The program and its arguments.
+    The command writes the picture, by default as a PNG file.  The scene file is written next to it,
+    with the same name and the suffix .pov.  The intensities of all lights are multiplied by the
+    exposure.
     """
     scene_path = picture_path.with_suffix(".pov")
     scene_path.write_text(convert_scene(scene, exposure), encoding="utf-8")
@@ -133,49 +108,18 @@ def prepare_command(
 
 
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
-    """Write a POV-Ray scene file, and return the command that renders it in linear radiance.
+    """Return a command, as `prepare_command` does, for a picture that `read_linear_picture` reads.
 
-    The command writes linear radiance, clipped at 4 (`MAX_RADIANCE`), with 16 bits per channel.
-    Read the picture with `read_linear_picture`.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    picture_path : Path
-        The PPM file that the command will write.  The scene file is written next to it, with the
-        same name and the suffix .pov.
-    *options : str
-        Additional POV-Ray options.
-
-    Returns
-    -------
-    command : list of str
-        The program and its arguments.
+    It is a PPM file of linear radiance, clipped at `MAX_RADIANCE`, with 16 bits per channel.
     """
     linear_options = ("+FP16", "File_Gamma=1.0", *options)
     return prepare_command(scene, picture_path, *linear_options, exposure=1 / MAX_RADIANCE)
 
 
-def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
-    """Read a picture that POV-Ray has rendered with the command from `prepare_linear_command`.
+def read_linear_picture(picture_path: Path) -> Shaped[NDArray[np.float64], "height width 3"]:
+    """Read the picture of a command from `prepare_linear_command`, as linear RGB radiance.
 
-    Parameters
-    ----------
-    picture_path : Path
-        The PPM file.
-
-    Returns
-    -------
-    image : (height, width, 3) float array
-        Linear RGB radiance, clipped at 4 (`MAX_RADIANCE`).
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If the file is not a PPM file with 16 bits per channel.
+    Raise ValueError if the file is not a PPM file with 16 bits per channel.
     """
     data = picture_path.read_bytes()
     header = re.match(rb"P6\s(?:#.*\n)*(\d+)\s+(\d+)\s+65535\s", data)
@@ -186,23 +130,10 @@ def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
 
 
 def render_and_time(command: Sequence[str]) -> float:
-    """Run a POV-Ray command, and return the rendering time that POV-Ray reports.
+    """Run a POV-Ray command, and return the rendering time that POV-Ray reports, in seconds.
 
-    Parameters
-    ----------
-    command : sequence of str
-        The program and its arguments.
-
-    Returns
-    -------
-    seconds : float
-        The reported time, which excludes program start-up.  POV-Ray reports whole milliseconds; a
-        time of 0 is replaced by half a millisecond.
-
-    Raises
-    ------
-    RuntimeError
-        If POV-Ray fails, or reports no time.  The message contains POV-Ray's error output.
+    It excludes the start of the program.  Raise RuntimeError, with POV-Ray's messages, if POV-Ray
+    fails or reports no time.
     """
     result = subprocess.run(command, capture_output=True, text=True, errors="replace")
     time_match = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)

@@ -67,21 +67,11 @@ def render_report(
 ) -> str:
     """Render an HTML page that compares the tracer's pictures with Mitsuba's, scene by scene.
 
-    Parameters
-    ----------
-    described_results : sequence of (CheckResult, str)
-        The comparisons to show, each with a description of its scene.
-    charts : iterable of (str, bytes)
-        Titles and SVGs of charts to show at the end.
-    failures : sequence of str
-        Messages about scenes that could not be compared.
-
-    Returns
-    -------
-    html : str
-        The page, which contains all pictures and charts.
+    Each result comes with a description of its scene, and each chart, at the end, with its title
+    and its SVG file.  `failures` are messages about scenes that could not be compared.
     """
-    results, scene_count = [result for result, _ in described_results], len(described_results)
+    results = [result for result, _ in described_results]
+    scene_count = len(results)
     agreeing_count = sum(result.verdict == "agrees" for result in results)
     all_agree = 0 < agreeing_count == scene_count and not failures
     variants = ", ".join(sorted({result.mitsuba.variant for result in results}))
@@ -104,20 +94,7 @@ def render_report(
 
 
 def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell]]:
-    """Format the comparison of one scene as a row of the overview table.
-
-    Parameters
-    ----------
-    pair_index : int
-        Index of the comparison to which the row links.
-    result : CheckResult
-        The comparison.
-
-    Returns
-    -------
-    row : list of lists of Cell
-        For each column of the table, a list with a single cell.
-    """
+    """Format the comparison of one scene as a row of the overview, which links to its pair."""
     verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
     excluded_share = f"{result.is_excluded.mean():.2%}"
     metric_texts = f"{result.metrics.ssim:.6f}", f"{result.metrics.max:.1e}", excluded_share
@@ -127,20 +104,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
 
 
 def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
-    """Prepare one comparison for the template of the HTML page.
-
-    Parameters
-    ----------
-    result : CheckResult
-        The comparison.
-    comment : str
-        Description of the scene.
-
-    Returns
-    -------
-    pair : Pair
-        The values that the template shows: pictures, text and figures.
-    """
+    """Prepare one comparison, with a description of its scene, for the HTML page."""
     is_excluded, metrics, is_good = result.is_excluded, result.metrics, result.verdict == "agrees"
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
     difference = get_largest_difference(result.tracer_image - mitsuba_image)
@@ -175,17 +139,8 @@ def _format_time(seconds: float) -> str:
 
 
 def _read_comment(path: Path) -> str:
-    """Read the first comment before the root element of a scene file, as one line.
-
-    Parameters
-    ----------
-    path : Path
-        The scene file.
-
-    Returns
-    -------
-    comment : str
-        The comment, with white space reduced to single spaces; "" if there is no comment.
+    """Read the first comment before the root element of a scene file as one line; "" without a
+    comment.
     """
     with path.open("rb") as file:
         first_events = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
@@ -242,28 +197,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Render a scene file with the tracer and with Mitsuba, and compare the pictures.
+    """Compare a scene file's pictures, under this name, and read the comment at the file's
+    beginning.
 
-    Parameters
-    ----------
-    path : Path
-        The scene file.
-    name : str
-        Name of the scene in the report.
-    variant : str or None
-        Mitsuba's variant; None for the fastest that works on this machine.
-
-    Returns
-    -------
-    result : CheckResult
-        The comparison.
-    comment : str
-        The comment at the beginning of the scene file.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read or compared.
+    Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):

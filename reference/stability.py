@@ -17,6 +17,7 @@ if __name__ == "__main__":
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import Annotated as Shaped
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,9 +32,10 @@ from tracer.command.progress import track
 Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 
-# The smallest visible error of the radiance, half a level of an 8-bit picture near white; and the
-# smallest error that the chart distinguishes from none.
-_VISIBLE_ERROR, _MIN_ERROR = 1 / 512, 1e-17
+# The smallest visible error of the radiance: half a level of an 8-bit picture near white.
+_VISIBLE_ERROR = 1 / 512
+# The smallest error that the chart distinguishes from none.
+_MIN_ERROR = 1e-17
 # Ratio between the positions of two curves at "none", so that both are visible.
 _CURVE_SPACING = 1.7
 # Names and dashes of the lines eps * x and eps * x^2, for eps of float32 and of float64.
@@ -41,27 +43,17 @@ _GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
 def _build_scene(
-    eye: Vector, view_dir: Vector, light: Vector, *spheres: Sphere, window: Vector, pixels: int = 24
+    eye: Shaped[Vector, "3"],
+    view_dir: Shaped[Vector, "3"],
+    light: Shaped[Vector, "3"],
+    *spheres: Sphere,
+    window: Vector,
+    pixels: int = 24,
 ) -> Scene:
     """Build a scene of spheres under one light.
 
-    Parameters
-    ----------
-    eye, view_dir : vectors (x, y, z)
-        Position and viewing direction of the camera.
-    light : vector (x, y, z)
-        Position of the light.
-    *spheres : Sphere
-        The spheres, which become the scene's surfaces in this order.
-    window : (float, float, float)
-        Distance of the camera's window from the eye, and the window's width and height.
-    pixels : int
-        Width of the picture in pixels.  The height is chosen so that the pixels are square.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
+    The window consists of its distance from the eye, its width and its height.  The picture is
+    `pixels` wide, and its pixels are square.
     """
     distance, width, height = window
     window_sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
@@ -73,18 +65,8 @@ def _build_scene(
 def build_distant_sphere_scene(distance: float, width: float = 1, height: float = 1) -> Scene:
     """Build a scene in which the camera views a unit sphere from a given distance.
 
-    Parameters
-    ----------
-    distance : float
-        Distance of both the sphere's centre and the camera's window from the eye.
-    width, height : float
-        Size of the window, which has 24 pixels per unit of length.  The default window shows
-        neither the silhouette nor a shadow.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
+    The camera's window is at this distance, too, and has 24 pixels per unit of length.  The default
+    window shows neither the silhouette nor a shadow.
     """
     direction, window = np.array([2, -3, 6]) / 7, (distance, width, height)
     eye, light, pixels = distance * direction, (2, 0, 6), round(24 * width)
@@ -129,19 +111,8 @@ def build_highlight_scene(exponent: float) -> Scene:
 def build_ball_scene(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
     """Build a scene of a ball that touches the ground, which is a large sphere.
 
-    Parameters
-    ----------
-    scale : float
-        Factor for all lengths.
-    offset : float
-        Distance by which the scaled scene is moved along each axis.
-    radius : float
-        Radius of the ground before scaling.  The ball's radius is 0.5 before scaling.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
+    The ball has a radius of 0.5, and the ground has the given radius, before all lengths are
+    multiplied by `scale`.  Then the scene is moved by `offset` along each axis.
     """
     positions = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
     eye, light, ground, ball = scale * np.array(positions) + offset
@@ -168,69 +139,48 @@ METHODS: dict[str, Method] = {
 """Functions that render a scene, by the names of the methods that they use."""
 
 
-def measure_largest_error(image: Floats, exact_image: Floats) -> float:
-    """Compute the largest error of an image's radiance.
-
-    Parameters
-    ----------
-    image, exact_image : (height, width, 3) float arrays
-        The image, and the exact image of the same scene.
-
-    Returns
-    -------
-    error : float
-        The largest absolute difference in any channel of any pixel.  A NaN counts as an error of 1.
-    """
+def measure_largest_error(
+    image: Shaped[Floats, "height width 3"], exact_image: Shaped[Floats, "height width 3"]
+) -> float:
+    """Compute the largest error of an image's radiance; a NaN counts as an error of 1."""
     return float(np.nan_to_num(np.abs(image - exact_image), nan=1.0).max())
 
 
-def measure_wrong_pixels(image: Floats, exact_image: Floats) -> float:
+def measure_wrong_pixels(
+    image: Shaped[Floats, "height width 3"], exact_image: Shaped[Floats, "height width 3"]
+) -> float:
     """Compute the percentage of pixels that are dark but should be lit, or vice versa.
 
-    Parameters
-    ----------
-    image, exact_image : (height, width, 3) float arrays
-        The image, and the exact image of the same scene.
-
-    Returns
-    -------
-    percentage : float
-        Percentage of pixels with a channel that is 0 in one image and above 0 in the other.
+    They have a channel that is 0 in one image and above 0 in the other.
     """
     return 100 * float(((image > 0) != (exact_image > 0)).any(axis=2).mean())
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of the chart: a family of scenes, and the measure of errors in their pictures.
-
-    Attributes
-    ----------
-    title, axis_label : str
-        Title of the panel, and label of its horizontal axis.
-    positions : (n,) float array
-        Positions on the horizontal axis.
-    build_scene : callable
-        Function that builds the scene for a position.
-    measure_error : callable
-        Function that computes the error of an image, given the image and the exact image.
-    methods : tuple of str
-        The methods to show in addition to this tracer: keys of `METHODS`.
-    guides : tuple of str
-        Labels of the guide lines to draw: first eps * x, then eps * x^2 (see `_GUIDES`).
-    position_factors : tuple of float
-        Each position is multiplied by each of these factors, to build several scenes.  A point of a
-        curve shows the largest error in these scenes.
-    """
+    """A panel of the chart: a family of scenes, and the measure of errors in their pictures."""
 
     title: str
     axis_label: str
-    positions: NDArray[Any]
-    build_scene: Callable[[float], Scene]
-    measure_error: Callable[[Floats, Floats], float]
-    methods: tuple[str, ...]
+    positions: Shaped[NDArray[Any], "n"]  # on the horizontal axis
+    build_scene: Callable[[float], Scene]  # for a position
+    # Whether an error is the largest one of the radiance, or the percentage of wrong pixels.
+    measures_radiance: bool
+    methods: tuple[str, ...]  # to show in addition to this tracer: keys of `METHODS`
+    # Labels of the guide lines to draw: first eps * x, then eps * x^2 (see `_GUIDES`).
     guides: tuple[str, ...] = ()
+    # Each position is multiplied by each of these factors, to build several scenes.  A point of a
+    # curve shows the largest error in these scenes.
     position_factors: tuple[float, ...] = (1.0,)
+
+    def measure_error(
+        self,
+        image: Shaped[Floats, "height width 3"],
+        exact_image: Shaped[Floats, "height width 3"],
+    ) -> float:
+        if self.measures_radiance:
+            return measure_largest_error(image, exact_image)
+        return measure_wrong_pixels(image, exact_image)
 
 
 _HIT_METHODS = ("float64, textbook", "float32, closest approach", "float32, textbook")
@@ -242,50 +192,81 @@ _OFFSET_METHODS = ("float64, multiplied out", "float32, closest approach")
 # offset is a round number.  So several offsets are tried for each point.
 _NEARBY_FACTORS = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
-# fmt: off
 PANELS = (
-    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15),
-          build_distant_sphere_scene, measure_largest_error, _HIT_METHODS, ("ε D", "ε D²")),
-    Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          2.0 ** np.arange(3, 26, 2), build_silhouette_scene, measure_wrong_pixels, _HIT_METHODS),
-    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17),
-          build_moved_sphere_scene, measure_largest_error, _OFFSET_METHODS,
-          ("ε offset", "ε offset²"), _NEARBY_FACTORS),
-    Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
-          2.0 ** np.arange(0, 29, 2), lambda x: build_ball_scene(offset=x),
-          measure_wrong_pixels, _SHADOW_METHODS),
-    Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          build_ground_scene, measure_largest_error, _HIT_METHODS, ("ε radius",)),
-    Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
-          2.0 ** np.arange(1, 28, 2), lambda x: build_ball_scene(radius=x / 2),
-          measure_wrong_pixels, _SHADOW_METHODS),
-    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight_scene,
-          measure_largest_error, _HIGHLIGHT_METHODS, ("ε e",)),
-    Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
-          2.0 ** np.arange(-30, 31, 4), lambda x: build_ball_scene(scale=x),
-          measure_wrong_pixels, _SHADOW_METHODS),
+    Panel(
+        title="A sphere far away",
+        axis_label="distance / radius (D)",
+        positions=np.logspace(1, 8, 15),
+        build_scene=build_distant_sphere_scene,
+        measures_radiance=True,
+        methods=_HIT_METHODS,
+        guides=("ε D", "ε D²"),
+    ),
+    Panel(
+        title="Hit or missed: within 10⁻⁶ of a silhouette",
+        axis_label="distance / radius (D)",
+        positions=2.0 ** np.arange(3, 26, 2),
+        build_scene=build_silhouette_scene,
+        measures_radiance=False,
+        methods=_HIT_METHODS,
+    ),
+    Panel(
+        title="A scene far from the origin",
+        axis_label="offset / radius",
+        positions=np.logspace(0, 8, 17),
+        build_scene=build_moved_sphere_scene,
+        measures_radiance=True,
+        methods=_OFFSET_METHODS,
+        guides=("ε offset", "ε offset²"),
+        position_factors=_NEARBY_FACTORS,
+    ),
+    Panel(
+        title="Lit or in shadow: far from the origin",
+        axis_label="offset / radius of the ball",
+        positions=2.0 ** np.arange(0, 29, 2),
+        build_scene=lambda x: build_ball_scene(offset=x),
+        measures_radiance=False,
+        methods=_SHADOW_METHODS,
+    ),
+    Panel(
+        title="The ground as a huge sphere",
+        axis_label="radius / height of the eye",
+        positions=np.logspace(1, 9, 17),
+        build_scene=build_ground_scene,
+        measures_radiance=True,
+        methods=_HIT_METHODS,
+        guides=("ε radius",),
+    ),
+    Panel(
+        title="Lit or in shadow: on a huge ground sphere",
+        axis_label="radius of the ground / radius of the ball",
+        positions=2.0 ** np.arange(1, 28, 2),
+        build_scene=lambda x: build_ball_scene(radius=x / 2),
+        measures_radiance=False,
+        methods=_SHADOW_METHODS,
+    ),
+    Panel(
+        title="A narrow highlight",
+        axis_label="Phong exponent (e)",
+        positions=np.logspace(0, 8, 17),
+        build_scene=build_highlight_scene,
+        measures_radiance=True,
+        methods=_HIGHLIGHT_METHODS,
+        guides=("ε e",),
+    ),
+    Panel(
+        title="Lit or in shadow: a scene in other units",
+        axis_label="scale of the whole scene",
+        positions=2.0 ** np.arange(-30, 31, 4),
+        build_scene=lambda x: build_ball_scene(scale=x),
+        measures_radiance=False,
+        methods=_SHADOW_METHODS,
+    ),
 )
-# fmt: on
 
 
-def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Floats:
-    """Measure the errors of a rendering method at several positions in a panel of the chart.
-
-    Parameters
-    ----------
-    panel : Panel
-        The panel, which defines the scenes and the measure of errors.
-    method : str
-        The rendering method, a key of `METHODS`.
-    positions : iterable of n floats
-        Positions on the horizontal axis.  At each position, one scene is built for each factor in
-        `panel.position_factors`.
-
-    Returns
-    -------
-    errors : (n,) float array
-        For each position, the largest error in its scenes.
-    """
+def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Shaped[Floats, "n"]:
+    """Measure the errors of a rendering method at several positions in a panel."""
     errors = []
     for position in positions:
         scenes = [panel.build_scene(factor * float(position)) for factor in panel.position_factors]
@@ -295,23 +276,15 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
 
 
 @cache
-def _render_exactly(scene: Scene) -> Floats:
-    """Render a scene in 80-digit decimal arithmetic.  Images (height, width, 3) are cached."""
+def _render_exactly(scene: Scene) -> Shaped[Floats, "height width 3"]:
+    """Render a scene in 80-digit decimal arithmetic.  Images are cached."""
     return plain.render(scene, arithmetic="decimal")
 
 
 def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Measure the errors of all rendering methods in all panels of the chart.
+    """Yield the rows of the table: title of the panel, position, method and error.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to measure only every third position on each panel's horizontal axis.
-
-    Yields
-    ------
-    row : tuple
-        A row of the table: title of the panel, position, method and error.
+    With `quick`, only every third position is measured.
     """
     for panel in track(PANELS, len(PANELS), "panels"):
         positions = panel.positions[:: 3 if quick else 1].tolist()
@@ -334,16 +307,6 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
 
     The left column contains the panels about hits and highlights.  The right column contains the
     panels about shadows, followed by the legends of both columns.
-
-    Parameters
-    ----------
-    rows : sequence of sequences of str
-        The rows of the table: title of the panel, position, method and error.
-
-    Returns
-    -------
-    figure : Figure
-        The chart.
     """
     left_panels = [panel for panel in PANELS if panel.methods != _SHADOW_METHODS]
     right_panels = [panel for panel in PANELS if panel.methods == _SHADOW_METHODS]
@@ -378,37 +341,26 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
 def _draw_panel(
     axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
 ) -> None:
-    """Draw one panel of the chart: a curve for each method, and guide lines.
+    """Draw one panel of the chart from its rows (position, method and error), and guide lines.
 
-    The guide lines are graphs of eps * x and eps * x^2, where x is the position on the
-    horizontal axis, and eps is the rounding error of float32 or float64.
-
-    Parameters
-    ----------
-    axes : Axes
-        The axes to draw in.
-    panel : Panel
-        The panel.
-    rows : sequence of sequences of str
-        The panel's rows of the table: position, method and error.
-    styles : dict of str to dict
-        For each method, the line style of its curve.
+    The guide lines are graphs of eps * x and eps * x^2, where x is the position on the horizontal
+    axis, and eps is the rounding error of float32 or float64.  Each method has its line style.
     """
     curves = {
         method: np.array([row[::2] for row in rows if row[1] == method], float).T
         for method in ("this tracer", *panel.methods)
     }
-    is_radiance_error, x = panel.measure_error is measure_largest_error, curves["this tracer"][0]
+    x = curves["this tracer"][0]
     scene = panel.build_scene(x[0])
     min_percentage = 25 / (scene.width * scene.height)  # a quarter of one pixel
-    min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance_error else (min_percentage, 100.0)
+    min_error, max_error = (_MIN_ERROR, 1.0) if panel.measures_radiance else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
     zero_height = {method: min_error / _CURVE_SPACING**index for index, method in enumerate(curves)}
     limits = {"xlim": (x[0], x[-1]), "ylim": (min(zero_height.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
     x_label = ";   ".join([panel.axis_label, *guides])
     axes.set(title=panel.title, xlabel=x_label, xscale="log", yscale="log", **limits)
-    if is_radiance_error:
+    if panel.measures_radiance:
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:

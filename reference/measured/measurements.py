@@ -28,9 +28,12 @@ _Name = TypeVar("_Name", bound=Hashable)
 # spinning for about 10 ms.
 _PAUSE_SECONDS = 0.02
 
-# Short times vary most, so short tasks run in more rounds: until a task has taken this many seconds
-# in total, but at most this many times the requested number of rounds.
-_MIN_TOTAL_SECONDS, _MAX_ROUNDS_FACTOR = 0.5, 5
+# Short times vary most, so short tasks run in more rounds, until a task has taken this many seconds
+# in total.
+_MIN_TOTAL_SECONDS = 0.5
+
+# Maximum number of rounds, as a multiple of the requested number.
+_MAX_ROUNDS_FACTOR = 5
 
 # A task that takes less than this many seconds also runs untimed before each of its rounds, because
 # the previous task has filled the caches: after POV-Ray, a picture of 5 ms took 8 to 18 ms.
@@ -38,17 +41,11 @@ _MAX_WARM_UP_SECONDS = 0.1
 
 
 class Timing(NamedTuple):
-    """The time that a task took, measured in several rounds.
-
-    Attributes
-    ----------
-    median, low, high : float
-        The median, the minimum and the maximum over the rounds, in seconds.
-    """
+    """The time that a task took, in seconds, measured in several rounds."""
 
     median: float
-    low: float
-    high: float
+    low: float  # the minimum
+    high: float  # the maximum
 
     def __str__(self) -> str:
         """Format the times in milliseconds: "median (low–high)", or one number if all are equal."""
@@ -56,7 +53,7 @@ class Timing(NamedTuple):
         return median_ms if self.low == self.high else f"{median_ms} ({low}–{high})"
 
     def divided_by(self, item_count: int) -> Timing:
-        """Divide the times by the number of items processed, to get the times per item."""
+        """Divide the times by the number of items processed."""
         return Timing(*(seconds / item_count for seconds in self))
 
 
@@ -65,24 +62,10 @@ def time_alternately(
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
-    Each round runs every task once.  Before the first round, every task runs once untimed.  Short
-    tasks also run untimed before each of their rounds.
-
-    Parameters
-    ----------
-    tasks : mapping of names to Task
-        Functions without arguments.  If a task returns a float, this is its time in seconds;
-        otherwise its time is measured.
-    min_rounds : int
-        Minimum number of rounds.
-    min_seconds : float
-        Further rounds run each task until its times add up to this many seconds, or until five
-        times `min_rounds` rounds are complete.
-
-    Returns
-    -------
-    timings : dict of names to Timing
-        Median, minimum and maximum of each task's times.
+    Each round runs every task once.  There are at least `min_rounds` rounds.  Further ones run each
+    task until its times add up to `min_seconds`, or until there are five times as many.  Before the
+    first round, every task runs once untimed.  Short tasks also run untimed before each of their
+    rounds.
     """
     warm_up_seconds = {}
     for name, task in tasks.items():
@@ -106,15 +89,7 @@ def time_alternately(
 def make_command_task(command: Sequence[str]) -> Task:
     """Make a function that runs a command in a new process and discards its output.
 
-    Parameters
-    ----------
-    command : sequence of str
-        The program and its arguments.
-
-    Returns
-    -------
-    task : callable
-        Function that runs the command, waits for it, and raises CalledProcessError if it fails.
+    It waits for the command, and raises CalledProcessError if the command fails.
     """
     # Without this variable, Python stores compiled modules, so only the first run compiles them.
     environment = {**os.environ}
@@ -127,16 +102,8 @@ def write_csv(
 ) -> None:
     """Write a table as a CSV file whose first line is a comment on the table's origin.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    origin : str
-        When and where the table was measured, for example from `describe_origin`.
-    column_titles : sequence of str
-        Titles of the columns.
-    rows : iterable of sequences
-        The rows of the table.  Floats are rounded to six digits.
+    Floats are rounded to six digits.  The origin says when and where the table was measured: see
+    `describe_origin`.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         file.write(f"# {origin}\n")
@@ -147,20 +114,7 @@ def write_csv(
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read a table and its origin from a CSV file that `write_csv` has written.
-
-    Parameters
-    ----------
-    path : Path
-        The file to read.
-
-    Returns
-    -------
-    origin : str
-        When and where the table was measured.
-    rows : list of lists of str
-        The rows below the column titles.
-    """
+    """Read the origin and the rows, without the titles, of a file from `write_csv`."""
     with path.open(newline="", encoding="utf-8") as file:
         origin = file.readline().removeprefix("# ").rstrip("\n")
         return origin, list(csv.reader(file))[1:]

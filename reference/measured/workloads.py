@@ -10,6 +10,8 @@ import numpy as np
 from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
 
 _LIGHT_INTENSITY = (0.6, 0.6, 0.6)
+
+# Shaders of the objects, in turn.
 _SHADERS = (
     Lambertian(diffuse=(0.9, 0.6, 0.3)),
     Lambertian(diffuse=(0.3, 0.6, 0.9)),
@@ -20,20 +22,9 @@ _SHADERS = (
 def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
-    Half of the objects are spheres, the others are boxes.  The fraction of the picture that they
-    cover hardly depends on their number.  Equal arguments give equal scenes.
-
-    Parameters
-    ----------
-    object_count : int
-        Number of objects, including the floor.
-    width, height : int
-        Size of the picture in pixels.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
+    Half of the objects are spheres, the others are boxes, one of which is the floor.  The fraction
+    of the picture that they cover hardly depends on their number.  Equal arguments give equal
+    scenes.
     """
     rng = np.random.default_rng(object_count)
     small_object_count = object_count - 1
@@ -60,22 +51,14 @@ def build_field_scene(object_count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast
-    shadows on each other and on the floor.  Equal arguments give equal scenes.
-
-    Parameters
-    ----------
-    object_count : int
-        Number of objects, not including the floor.
-
-    Returns
-    -------
-    scene : Scene
-        The scene, with a picture of 640 x 360 pixels.
+    shadows on each other and on the floor, which `object_count` does not count.  The picture has
+    640 x 360 pixels.  Equal arguments give equal scenes.
     """
     rng = np.random.default_rng(object_count)
     mean_radius = (0.5 / object_count) ** (1 / 3)
     center = rng.uniform((-8, mean_radius, -8), (8, 3 + mean_radius, 8), (object_count, 3))
-    radius, sphere_count = mean_radius * rng.uniform(0.6, 1.3, object_count), object_count // 2
+    radius = mean_radius * rng.uniform(0.6, 1.3, object_count)
+    sphere_count = object_count // 2
     box_center, half_size = center[sphere_count:], radius[sphere_count:, None]
     window: Any = {"view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window)
@@ -92,27 +75,14 @@ def build_field_scene(object_count: int) -> Scene:
 
 
 def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
-    """Make a light of medium intensity at each position (x, y, z)."""
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
 def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
     """Return a copy of a scene with a different picture size and square pixels.
 
-    The height of the camera's window stays the same.  The window's width is adjusted to match, so
-    the picture may show more or less of the scene on the left and right.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, which stays unchanged.
-    width, height : int
-        Size of the picture in pixels.
-
-    Returns
-    -------
-    resized_scene : Scene
-        The copy.
+    The height of the camera's window stays the same, and its width is adjusted, so the picture may
+    show more or less of the scene on the left and right.
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)

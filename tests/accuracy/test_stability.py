@@ -57,7 +57,7 @@ def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
 def test_the_tracer_is_accurate_at_the_end_of_every_axis(panel):
     error = stability.measure_errors(panel, "this tracer", panel.positions[-1:])
     # No decision is wrong.  Radiance has seven correct digits at 1e8, and six at 1e9.
-    assert error <= (2e-7 if panel.measure_error is stability.measure_largest_error else 0.0)
+    assert error <= (2e-7 if panel.measures_radiance else 0.0)
 
 
 def test_errors_of_small_pictures(monkeypatch):
