@@ -102,8 +102,8 @@ def test_surfaces_have_the_order_of_the_objects():
     assert surfaces[5:1:-2] == tuple(objects[5:1:-2])
 
 
-def test_scalars_of_numpy_are_stored_as_floats() -> None:
-    """Type checkers accept these arguments, too."""
+def test_scalars_of_numpy_are_stored_as_floats():
+    """Type checkers accept them, too: see `test_types_of_documented_usage`."""
     camera = Camera(proj_distance=np.float32(1.5), view_width=np.int64(2), view_height=3)
     sphere, shader = Sphere(radius=np.float32(0.5)), Phong(exponent=np.int8(9))
     numbers = camera.proj_distance, camera.view_width, camera.view_height

@@ -104,7 +104,10 @@ import numpy as np
 import tracer
 
 shader: tracer.Shader = tracer.Phong(diffuse=[1, 0.5, 0], specular=np.ones(3), exponent=9)
-ball = tracer.Sphere(center=np.array([1, 2, 3]), radius=2, shader=shader)
+ball = tracer.Sphere(center=np.array([1, 2, 3]), radius=np.float32(2), shader=shader)
+radius: float = ball.radius
+tracer.Camera(proj_distance=np.float32(1.5), view_width=np.int64(2), view_height=3)
+tracer.Phong(exponent=np.int8(9))
 brick = tracer.Box(min_pt=[0, 0, 0], max_pt=(1.0, 1, 1))
 lights = [tracer.PointLight(position=[1, 2, 3], intensity=np.ones(3))]
 scene = tracer.Scene(width=4, height=3, lights=lights, surfaces=[ball, brick])

@@ -15,8 +15,8 @@ import operator
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,13 +96,15 @@ class Validated:
 
     __slots__ = ("__weakref__",)
 
-    def __new__(cls, *args: object, **_values: object) -> Any:
-        """Create an instance, or tell a caller who gives values by position to name them."""
-        if args:
-            names = (field.name for field in fields(cls) if "validator" in field.metadata)  # type: ignore[arg-type]
-            keywords = ", ".join(f"{name}=..." for name in names)
-            raise TypeError(f"{cls.__name__} takes keywords only: {cls.__name__}({keywords})")
-        return super().__new__(cls)
+    if not TYPE_CHECKING:  # type checkers compare calls with the fields
+
+        def __new__(cls, *args: object, **_values: object) -> Any:
+            """Create an instance, or tell a caller who gives values by position to name them."""
+            if args:
+                names = [field.name for field in fields(cls) if "validator" in field.metadata]
+                keywords = ", ".join(f"{name}=..." for name in names)
+                raise TypeError(f"{cls.__name__} takes keywords only: {cls.__name__}({keywords})")
+            return super().__new__(cls)
 
     def __post_init__(self: Any) -> None:
         lines: list[str] = []
