@@ -13,10 +13,11 @@ most e / 2.  There are three kinds of bounds, and all of them are here:
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated as Shaped
 
-from tracer.arrays import Floats, Triple, dot, map_xyz
+import numpy as np
+
+from tracer.arrays import Floats, Sides, Triple, dot, map_xyz
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
@@ -83,43 +84,24 @@ MIN_COMPONENT = 1e-30
 MIN_DIVISOR = 1e-300
 
 
-def determine_side(distance: Floats, tolerance: Floats) -> NDArray[np.int8]:
-    """Determine whether each of n points is outside, on or inside a surface.
+def determine_side(
+    distance: Shaped[Floats, "... n"], tolerance: Shaped[Floats, "n"]
+) -> Shaped[Sides, "... n"]:
+    """Determine whether points are `OUTSIDE`, `ON` or `INSIDE` surfaces.
 
-    Parameters
-    ----------
-    distance : (n,) float array
-        Signed distance of each point from the surface, negative inside.
-    tolerance : (n,) float array
-        Maximum distance at which each point counts as on the surface.
-
-    Returns
-    -------
-    side : (n,) int8 array
-        `OUTSIDE` (1), `ON` (0) or `INSIDE` (-1) for each point.
+    Pass the signed distances of the points, negative inside.  Points count as on the surface if
+    they are at most `tolerance` away from it.
     """
     return (distance > tolerance).view(np.int8) - (distance < -tolerance).view(np.int8)
 
 
-def compute_hit_tolerance(coordinate_bound: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute how far each of n hits may be from a surface and still count as on it.
+def compute_hit_tolerance(
+    coordinate_bound: Shaped[Floats, "n"], hit: Shaped[Triple, "n"], eye: Shaped[Floats, "3"]
+) -> Shaped[Floats, "n"]:
+    """Compute how far each hit may be from a surface and still count as on it.
 
-    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit grows
-    with its distance from the eye and with the coordinates of the surface.
-
-    Parameters
-    ----------
-    coordinate_bound : (n,) float array
-        For each hit, an upper bound on |x| + |y| + |z| for all points of the surface.
-    hit : tuple of three (n,) float arrays
-        Coordinates x, y and z of the hits, in scene axes.
-    eye : (3,) float array
-        Position of the eye, in scene axes.
-
-    Returns
-    -------
-    tolerance : (n,) float array
-        Maximum distance from the surface, in the scene's unit of length.
+    The rounding error of a hit grows with its distance from the eye, and with the coordinates of
+    the surface (see `Shape.coordinate_bound`).  Positions are in scene axes.
     """
     eye_to_hit = map_xyz(np.subtract, hit, (eye[0], eye[1], eye[2]))
     return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_bound)
