@@ -133,16 +133,18 @@ class Boxes(Shape):
             leave_ts.append(leave_t)
             # The normal of a visible face points against the ray.
             face_codes.append((direction < 0).view(np.int8) + np.int8(2 * axis))
-        enter_t, leave_t = np.maximum(*enter_ts[:2]), np.minimum(*leave_ts[:2])
-        enter_t, leave_t = np.maximum(enter_t, enter_ts[2]), np.minimum(leave_t, leave_ts[2])
-        t, face_ts, is_hit = enter_t, enter_ts, enter_t <= leave_t
+        enter_t = np.maximum(np.maximum(enter_ts[0], enter_ts[1]), enter_ts[2])
+        leave_t = np.minimum(np.minimum(leave_ts[0], leave_ts[1]), leave_ts[2])
+        is_hit = enter_t <= leave_t
+        t, face_ts = enter_t, enter_ts
         is_eye_inside = self.is_eye_inside[box_index]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
-            t, is_hit = np.where(is_eye_inside, leave_t, t), is_hit | is_eye_inside
+            is_hit |= is_eye_inside
+            t = np.where(is_eye_inside, leave_t, enter_t)
             face_ts = [
-                np.where(is_eye_inside, leave_t, enter_t)
-                for enter_t, leave_t in zip(enter_ts, leave_ts, strict=True)
+                np.where(is_eye_inside, axis_leave_t, axis_enter_t)
+                for axis_enter_t, axis_leave_t in zip(enter_ts, leave_ts, strict=True)
             ]
         # A ray through an edge or a corner hits the face of the first axis.
         face_code = np.where(face_ts[1] == t, face_codes[1], face_codes[2])
@@ -345,24 +347,25 @@ def _decode_face(face_code: int) -> tuple[int, float]:
 
 
 def _intersect_slab(
-    low: Floats, high: Floats, direction: Floats, *, is_closed: bool = False
-) -> tuple[Floats, Floats]:
-    """Compute where each of n lines enters and leaves a slab, the space between parallel planes.
+    low: Shaped[Floats, "n"],
+    high: Shaped[Floats, "n"],
+    direction: Shaped[Floats, "n"],
+    *,
+    is_closed: bool = False,
+) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+    """Compute where lines enter and leave slabs, as multiples of the line's direction.
+
+    A line parallel to the slab enters at -inf and leaves at inf if it is inside; otherwise it
+    enters at inf and leaves at -inf.
 
     Parameters
     ----------
-    low, high : (n,) float arrays
+    low, high
         Coordinates of the two planes along their normal, relative to the start of the line.
-    direction : (n,) float array
+    direction
         Component of the line's direction along this normal.
-    is_closed : bool
+    is_closed
         Whether a line that lies in one of the planes counts as inside the slab.
-
-    Returns
-    -------
-    enter_t, leave_t : (n,) float arrays
-        Positions along the line, as multiples of its direction.  A line parallel to the slab enters
-        at -inf and leaves at inf if it is inside; otherwise it enters at inf and leaves at -inf.
     """
     low_t, high_t = low / direction, high / direction
     enter_t, leave_t = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
@@ -374,21 +377,13 @@ def _intersect_slab(
     return enter_t, leave_t
 
 
-def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
-    """Test whether each of n segments crosses the surface of a box.
-
-    Parameters
-    ----------
-    start, end : tuples of three (n,) float arrays
-        Coordinates x, y and z of the two ends of each segment.
-    low, high : tuples of three (n,) float arrays
-        Smallest and largest coordinates x, y and z of the box for each segment.
-
-    Returns
-    -------
-    crosses_surface : (n,) bool array
-        Whether the segment enters or leaves the box strictly between the segment's ends.
-    """
+def _crosses_surface(
+    start: Shaped[Triple, "n"],
+    end: Shaped[Triple, "n"],
+    low: Shaped[Triple, "n"],
+    high: Shaped[Triple, "n"],
+) -> Shaped[Bools, "n"]:
+    """Test whether segments enter or leave boxes strictly between the segments' ends."""
     enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
     # Coordinate i is x in the first pass, then y, then z.
     for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
@@ -399,62 +394,40 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
     return crosses_surface
 
 
-def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points that are close to the plane of a box face onto this plane.
-
-    Parameters
-    ----------
-    point : tuple of three (n,) float arrays
-        Coordinates x, y and z of the points.
-    low, high : tuples of three (n,) float arrays
-        Smallest and largest coordinates x, y and z of the box for each point.
-    tolerance : (n,) float array
-        Maximum distance by which each point is moved along an axis.
-
-    Returns
-    -------
-    snapped_point : tuple of three (n,) float arrays
-        The new coordinates.  Coordinates farther than the tolerance from every face are unchanged.
-    """
+def _snap_to_faces(
+    point: Shaped[Triple, "n"],
+    low: Shaped[Triple, "n"],
+    high: Shaped[Triple, "n"],
+    tolerance: Shaped[Floats, "n"],
+) -> Shaped[Triple, "n"]:
+    """Move points that are at most `tolerance` away from the plane of a face onto this plane."""
 
     def snap_coordinate(x: Floats, low_x: Floats, high_x: Floats) -> Floats:
-        """Replace x by `low_x` or `high_x` where the difference is within the tolerance."""
         is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
         return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 
     return map_xyz(snap_coordinate, point, low, high)
 
 
-def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
-    """Compute a bounding rectangle in the picture for each of n boxes.
+def _find_screen_bounds(
+    frame: CameraFrame, low: Shaped[Floats, "3 n"], high: Shaped[Floats, "3 n"]
+) -> ScreenBounds:
+    """Compute bounding rectangles of boxes, given by vectors from the eye to opposite corners.
 
-    Parameters
-    ----------
-    frame : CameraFrame
-        The camera.
-    low, high : (3, n) float arrays
-        Vectors from the eye to opposite corners of each box, in scene axes.
-
-    Returns
-    -------
-    bounds : ScreenBounds
-        The rectangle of each box: infinite if the box is partly behind the eye, and empty if it is
-        entirely behind the eye.
+    The rectangle is infinite if the box is partly behind the eye, and outside the picture if it is
+    entirely behind the eye.
     """
     # Bit `axis` of i is 1 if corner i has the coordinate `high` along this axis, and 0 for `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
     right, down, depth = frame.rotate_to_camera((x, y, z))
     has_corner_behind, has_corner_ahead = depth.min(axis=0) <= 0, depth.max(axis=0) >= 0
 
-    def find_slope_range(offset: Floats) -> tuple[Floats, Floats]:
-        """Return the smallest and the largest slope among the eight corners of each box.
-
-        The slope of a corner is its offset to the right of the eye (or down), divided by its depth.
-        The range is -inf to inf for a box partly behind the eye.  For a box entirely behind the
-        eye, it is -inf to -inf, which is outside every picture.
-        """
+    def find_slope_range(
+        offset: Shaped[Floats, "8 n"],
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         slope = offset / depth
         min_slope = np.where(has_corner_behind, -np.inf, slope.min(axis=0))
+        # A box entirely behind the eye has the range -inf to -inf, which is outside every picture.
         max_slope_if_behind = np.where(has_corner_ahead, np.inf, -np.inf)
         return min_slope, np.where(has_corner_behind, max_slope_if_behind, slope.max(axis=0))
 

@@ -237,20 +237,19 @@ class Spheres(Shape):
         from_line = map_xyz(lambda center, light: center - closest_t * light, to_center, to_light)
         is_line_cut = dot(from_line, from_line) < radius * radius
         occludes: Bools = is_line_cut & (projection > 0) & (projection < squared_length)
+        # If an end is on the surface or inside the sphere, the sides of both ends decide.
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
         tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
         hit_side = determine_side(hit_height, tolerance)
-        # If an end is on the surface or inside the sphere, the sides of both ends decide.
         touch_index = find((hit_side != OUTSIDE) | (light_side != OUTSIDE))
         if touch_index.size:
-            hit_side, light_side = hit_side[touch_index], light_side[touch_index]
-            projection, squared_length = projection[touch_index], squared_length[touch_index]
-            is_eye_inside = self.is_eye_inside[sphere_index[touch_index]]
-            leaves_sphere = (projection < 0) | (light_side == OUTSIDE)
-            blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
-            blocks_to_surface = (hit_side == OUTSIDE) & (projection < squared_length)
-            blocks_elsewhere = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
-            occludes[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_elsewhere)
+            occludes[touch_index] = _decide_by_sides(
+                hit_side=hit_side[touch_index],
+                light_side=light_side[touch_index],
+                projection=projection[touch_index],
+                squared_length=squared_length[touch_index],
+                is_eye_inside=self.is_eye_inside[sphere_index[touch_index]],
+            )
         return occludes
 
     def test_capsules(
@@ -276,10 +275,12 @@ class Spheres(Shape):
         starts_outside = start_distance2 > outer_radius2
         ends_outside = end_distance2 > outer_radius2
         # Whether the centre projects to a point before the start of the axis, or past its end.
-        is_before_start, is_past_end = projection < 0, projection > length2
+        is_before_start = projection < 0
+        is_past_end = projection > length2
         contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
-        misses_line, cuts_line = line_distance2 > outer_radius2, line_distance2 < inner_radius2
+        misses_line = line_distance2 > outer_radius2
+        cuts_line = line_distance2 < inner_radius2
         misses = misses_line | (starts_outside & is_before_start) | (ends_outside & is_past_end)
         may_block = ~(misses | contains_capsule)
         blocks_all = starts_outside & ~(is_before_start | is_past_end) & cuts_line
@@ -342,6 +343,32 @@ class Spheres(Shape):
         curvature = repeat_runs(self.curvature[self.objects.to_local(object_index)], run_length)
         max_width = np.sqrt(2 * cell_radius / curvature)
         return np.asarray(np.fmin(cell_radius / cosine, max_width))
+
+
+def _decide_by_sides(
+    hit_side: Shaped[Sides, "n"],
+    light_side: Shaped[Sides, "n"],
+    projection: Shaped[Floats, "n"],
+    squared_length: Shaped[Floats, "n"],
+    is_eye_inside: Shaped[Bools, "n"],
+) -> Shaped[Bools, "n"]:
+    """Decide whether spheres block segments, at least one end of which is not outside.
+
+    `projection` is the dot product of the vectors from the hit to the centre and to the light;
+    `squared_length` is that of the segment.
+    """
+    # A hit on the surface lies on the eye's side.  From inside, the segment must not leave the
+    # sphere; from outside, it must not enter the sphere.
+    leaves_sphere = (projection < 0) | (light_side == OUTSIDE)
+    blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
+    # A segment to a light on the surface is blocked if it arrives from inside.
+    arrives_from_inside = projection < squared_length
+    blocks_to_surface = (hit_side == OUTSIDE) & arrives_from_inside
+    return np.select(
+        [hit_side == ON, light_side == ON],
+        [blocks_from_surface, blocks_to_surface],
+        default=hit_side != light_side,
+    )
 
 
 def _find_screen_bounds(
