@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from tracer import Camera, Lambertian, Phong, PointLight, Scene, Surfaces
+from reference.judges.arrays import Floats
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces
+
+Vector: TypeAlias = tuple[float, float, float]
 
 _LIGHT_INTENSITY = (0.6, 0.6, 0.6)
 
@@ -72,6 +75,77 @@ def build_field_scene(object_count: int) -> Scene:
     )
     lights = _make_lights((5, 10, -4), (-7, 13, 8))
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
+
+
+def build_sun_scene(ball_count: int, *, is_eye_low: bool = False) -> Scene:
+    """Build a scene of small balls on a floor that is as wide as the light is far.
+
+    A low eye, which lies on its side, sees the floor as far as the horizon along each row.
+    """
+    rng = np.random.default_rng(ball_count)
+    center = rng.uniform((-8, 0.1, -8), (8, 0.3, 8), (ball_count, 3))
+    light = (5e4, 1e5, 2e4)
+    scene = _build_ball_scene(center, [((-1e5, -1, -1e5), (1e5, 0, 1e5))], light)
+    camera = replace(
+        scene.camera, view_point=(0, 0.5, 9), view_dir=(0, -0.1, -1), view_up=(1, 0, 0)
+    )
+    return replace(scene, camera=camera, width=320, height=180) if is_eye_low else scene
+
+
+def build_roof_scene(ball_count: int) -> Scene:
+    """Build a scene of small balls on a floor, all in the shadow of one roof."""
+    rng = np.random.default_rng(ball_count)
+    center = rng.uniform((-8, 0.1, -8), (8, 2, 8), (ball_count, 3))
+    floor, roof = ((-30, -1, -30), (30, 0, 30)), ((-60, 9, -60), (60, 9.5, 60))
+    return _build_ball_scene(center, [floor, roof], (1, 20, 2), radius=0.3)
+
+
+def build_dust_scene(ball_count: int) -> Scene:
+    """Build a scene of a floor in the shadow of tiny balls, which are all above the picture."""
+    rng = np.random.default_rng(ball_count)
+    center = rng.uniform((-2.5, 12, -2.5), (2.5, 14, 2.5), (ball_count, 3))
+    floor = (-30, -1, -30), (30, 0, 30)
+    scene = _build_ball_scene(center, [floor], (1, 400, 2), radius=0.02)
+    return copy_with_picture_size(scene, 48, 27)
+
+
+def build_dim_lights_scene(light_count: int) -> Scene:
+    """Build a scene of a ball before a wall, in 24 x 24, under many lights of 1.2 in all."""
+    position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (light_count, 3))
+    intensity = (1.2 / light_count,) * 3
+    lights = [PointLight(position=each, intensity=intensity) for each in position]
+    window: Any = {"proj_distance": 100, "view_width": 4, "view_height": 4}
+    camera = Camera(view_point=(0, 0, 100), **window)
+    wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
+    ball = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
+    return Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[wall, ball])
+
+
+def _build_ball_scene(
+    center: Floats, boxes: list[tuple[Vector, Vector]], light: Vector, radius: float = 0.08
+) -> Scene:
+    """Build a scene of balls (centres of shape (n, 3)) and boxes, seen from above, in 96 x 54."""
+    min_pt, max_pt = zip(*boxes, strict=True)
+    surface_count = len(center) + len(boxes)
+    surfaces = Surfaces(
+        center=center,
+        radius=np.full(len(center), radius),
+        min_pt=np.array(min_pt),
+        max_pt=np.array(max_pt),
+        shader_index=np.arange(surface_count) % len(_SHADERS),
+        shaders=_SHADERS,
+    )
+    window: Any = {"view_width": 1, "view_height": 0.5625}
+    camera = Camera(view_point=(6, 6, 6), view_dir=(-6, -6, -6), **window)
+    lights = [PointLight(position=light)]
+    return Scene(camera=camera, width=96, height=54, lights=lights, surfaces=surfaces)
+
+
+def build_small_ball_scene() -> Scene:
+    """Build a large picture, 2560 x 1440, of one ball that is a thousandth of it wide."""
+    camera = Camera(view_point=(0, 0, 10), view_width=1.6, view_height=0.9)
+    ball, lights = Sphere(radius=0.008), _make_lights((3, 4, 5))
+    return Scene(camera=camera, width=2560, height=1440, lights=lights, surfaces=[ball])
 
 
 def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:

@@ -38,7 +38,6 @@ from tracer import (
 from tracer.antialias import refine
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.arrays import Floats
-from tracer.trace import visibility
 from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.world.prepared_scene import PreparedScene
 
@@ -210,38 +209,11 @@ def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
     assert rmse(render(scene, 16), truth) <= rmse(uniform_grid(scene, 4), truth) / improvement
 
 
-def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
-    # Shadow edges of forty lights cross every pixel.  To divide pixels would take far more samples.
-    position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
-    lights = [PointLight(position=p, intensity=(0.03,) * 3) for p in position]
-    scene = view(WALL, BALL, light=lights, pixels=24)
-    counts = record_calls(
-        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
-    )
-    render(scene, 16)
-    assert sum(counts) < 4 * 16 * 24 * 24
-    assert_no_worse_than_grid(scene, error_factor=1.5, sample_counts=(4, 16))
-
-
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("seed", [18, 48, 52])
 def test_no_radiance_is_negative(seed):
     # A point that represents a narrow region may have a negative weight.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0
-
-
-def test_lines_divide_crowded_pixels(monkeypatch):
-    real_classify = refine.classify_cells
-
-    def classify_as_crowded(*arguments):
-        classified = real_classify(*arguments)
-        return classified._replace(is_crowded=np.ones_like(classified.is_crowded))
-
-    monkeypatch.setattr(refine, "classify_cells", classify_as_crowded)
-    # The box covers 0.33 of the tenth column of pixels.
-    half = Box(min_pt=(-9, -9, -9), max_pt=(0.25 + 0.33 * 0.25, 9, 0))
-    image = render(view(half), 16)[..., 0]
-    np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
 
 
 def test_quarters_with_lines_are_refined_although_samples_agree():
@@ -251,16 +223,6 @@ def test_quarters_with_lines_are_refined_although_samples_agree():
     camera = replace(scene.camera, view_width=1 / 30, view_height=view_height)
     scene = replace(scene, camera=camera, width=8, height=3)
     assert np.abs(render(scene, 64) - uniform_grid(scene, 201))[1].max() < 5e-5
-
-
-def test_regions_of_almost_no_area_take_no_samples(monkeypatch):
-    # Edges of boxes meet in corners, where rounding errors separate lines.  With a sample in each
-    # region between such lines, there would be 1.4 times as many samples.
-    counts = record_calls(
-        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
-    )
-    render(load_small("two-boxes"), 16)
-    assert sum(counts) < 4.2 * 64 * 64
 
 
 def test_ids_are_equal_where_object_face_and_lights_are():

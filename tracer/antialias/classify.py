@@ -139,7 +139,7 @@ def classify_cells(
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
     radiance[:, sample_cell_index] = shading.compute_radiance()
     center_id[surfaces.cell_index] = shading.visibility_ids
-    lines = Lines.concatenate(all_lines).sort()
+    lines = Lines.concatenate(all_lines).sort_and_deduplicate()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell_index, minlength=cell_count) > MAX_LINES
     return Classification(

@@ -32,7 +32,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, find, scale, take, take_columns
+from tracer.arrays import (
+    Floats,
+    Ints,
+    Triple,
+    dot,
+    find,
+    mark_run_starts,
+    scale,
+    take,
+    take_columns,
+)
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
 from tracer.geometry.silhouette import bound_variation
@@ -43,132 +53,68 @@ from tracer.trace.hits import Hits
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
-# A line represents an edge that turns across the cell by at most the first number, in radians.  The
-# edge counts as straight if it turns by at most the second number times the cell's tolerance in
-# radiance.  Tuned on the project's scenes: with half the first number, errors of 4 samples per
-# pixel are up to 1.6 times as large; half or twice the second changes errors and times by 1 %.
-_MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
+# A line represents an edge that turns across the cell by at most this angle, in radians.  Tuned on
+# the project's scenes: with half of it, errors of 4 samples per pixel are up to 1.6 times as large.
+_MAX_TURN = 0.5
+
+# An edge counts as straight if it turns by at most this many radians times the cell's tolerance in
+# radiance.  Half or twice as much changes errors and times by 1 %.
+_TURN_PER_TOLERANCE = 500.0
 
 
 class EdgeValues(NamedTuple):
-    """Values of the edge functions of n edges, each at six points of one cell.
+    """Values of the edge functions of n edges, each at six points of one cell."""
 
-    An edge function is a smooth function of the position in the picture that is zero on the edge.
-    A cell is a pixel, or a square part of a pixel.
-
-    Attributes
-    ----------
-    cell_index : (n,) int array
-        Index of the cell that each edge may cross.
-    values : (6, n) float array
-        Values of each edge function at six points of the cell (see `compute_rays`); NaN if unknown.
-    """
-
-    cell_index: Ints
-    values: Floats
+    cell_index: Shaped[Ints, "n"]
+    values: Shaped[Floats, "6 n"]  # at the points of `compute_rays`; NaN if unknown
 
 
 class Lines(NamedTuple):
-    """Straight lines c + a x + b y = 0 that cross cells (pixels, or square parts of pixels).
+    """Straight lines c + a x + b y = 0 that cross cells.
 
     The coordinates x and y are relative to the centre of the cell, in units of the cell's width.
-    The y-axis points down.
-
-    Attributes
-    ----------
-    cell_index : (n,) int array
-        Index of the cell that each line crosses.
-    a, b, c : (n,) float arrays
-        Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, and that a > 0 (or
-        b > 0 if a = 0).
+    The y-axis points down.  The coefficients are scaled so that the maximum of |a x + b y| in the
+    cell is 1, and that a > 0 (or b > 0 if a = 0).
     """
 
-    cell_index: Ints
-    a: Floats
-    b: Floats
-    c: Floats
+    cell_index: Shaped[Ints, "n"]
+    a: Shaped[Floats, "n"]
+    b: Shaped[Floats, "n"]
+    c: Shaped[Floats, "n"]
 
     @classmethod
     def concatenate(cls, line_sets: Iterable[Lines]) -> Lines:
-        """Concatenate sets of lines.
-
-        Parameters
-        ----------
-        line_sets : iterable of Lines
-            At least one set.
-
-        Returns
-        -------
-        lines : Lines
-            The lines of all sets, in the same order.
-        """
+        """Concatenate at least one set of lines."""
         return cls._make(map(np.concatenate, zip(*line_sets, strict=True)))
 
     def take(self, line_index: Ints | slice) -> Lines:
-        """Select lines by index.
-
-        Parameters
-        ----------
-        line_index : (k,) int array or slice
-            Indices of the lines to select.
-
-        Returns
-        -------
-        selected_lines : Lines
-            The k selected lines, in the order of `line_index`.
-        """
         return Lines._make(field[line_index] for field in self)
 
-    def sort(self) -> Lines:
-        """Sort the lines by cell, and then by coefficients.
+    def sort_and_deduplicate(self) -> Lines:
+        """Sort the lines by cell and then by coefficients, and remove duplicates.
 
-        The result does not depend on the order in which the lines were found.
+        The result does not depend on the order in which the lines were found.  Lights at the same
+        place cause equal lines.
         """
-        return self.take(np.lexsort((self.c, self.b, self.a, self.cell_index)))
+        sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell_index)))
+        return sorted_lines.take(find(mark_run_starts(*sorted_lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
-        """Keep at most `max_lines` lines of each cell.
-
-        The lines must be sorted by cell.
-
-        Parameters
-        ----------
-        max_lines : int
-            Maximum number of lines to keep in a cell.
-
-        Returns
-        -------
-        lines : Lines
-            The first `max_lines` lines of each cell, in the same order.
-        """
+        """Keep the first `max_lines` lines of each cell; the lines must be sorted by cell."""
         position_in_cell = np.arange(self.a.size) - self.cell_index.searchsorted(self.cell_index)
         return self.take(find(position_in_cell < max_lines))
 
 
 def compute_rays(
-    frame: CameraFrame, center_ray_x: Floats, center_ray_y: Floats, cell_width: float
-) -> Triple:
-    """Compute the rays from the eye through six points of each of n cells.
+    frame: CameraFrame,
+    center_ray_x: Shaped[Floats, "n"],
+    center_ray_y: Shaped[Floats, "n"],
+    cell_width: float,
+) -> Shaped[Triple, "#6 n"]:
+    """Compute the rays from the eye through the six points of cells that `_POINT_X` lists.
 
-    A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
-    the centres of the right, left, lower and upper sides; and the lower right corner.
-
-    Parameters
-    ----------
-    frame : CameraFrame
-        The camera.
-    center_ray_x, center_ray_y : (n,) float arrays
-        Rightward and downward components of the ray through the centre of each cell.  The forward
-        component is `frame.depth`.
-    cell_width : float
-        Width of the cells, in pixels.
-
-    Returns
-    -------
-    ray_x, ray_y : (6, n) float arrays
-        Rightward and downward components of the rays.
-    ray_forward : (1, n) float array
-        Forward component of the rays, the same for all six points.
+    The arguments give the rays through the centres of cells that are `cell_width` pixels wide.  The
+    forward components, which are all `frame.depth`, have a single row for all six points.
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
@@ -176,88 +122,98 @@ def compute_rays(
     return center_ray_x + offset_right, center_ray_y + offset_down, ray_forward
 
 
-def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
-    """Fit a straight line to each edge in a cell, and find the cells with curved edges.
+class FittedLines(NamedTuple):
+    """Lines that represent edges, and the cells in which they do not suffice."""
 
-    Parameters
-    ----------
-    edges : iterable of EdgeValues
-        Batches of edges.  Each edge is given by the cell (a pixel, or a square part of a pixel)
-        that it may cross, and by values of its edge function: a function of the position in the
-        picture that is zero on the edge.
-    tolerance : float
-        Tolerated error of the mean radiance of a cell.
+    # A line for each edge that turns by at most `_MAX_TURN`, unless the line misses the cell.
+    lines: Lines
+    # Cells with an edge that turns too much for the tolerance, or whose values are unknown; an
+    # index may be repeated.
+    curved_cell_index: Shaped[Ints, "k"]
 
-    Returns
-    -------
-    lines : Lines
-        A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
-        misses the cell.
-    curved_cell_index : (k,) int array
-        Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
-        the tolerance, or if values are unknown.
-    """
-    no_edges = EdgeValues(np.zeros(0, dtype=np.intp), np.zeros((6, 0)))
+
+def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
+    """Fit a straight line to each edge, where `tolerance` is that of `Cells`."""
+    no_edges = EdgeValues(cell_index=np.zeros(0, dtype=np.intp), values=np.zeros((6, 0)))
     fits = (_fit_line_batch(batch, tolerance) for batch in chain([no_edges], edges))
     batch_lines, curved_cell_index = zip(*fits, strict=True)
-    return Lines.concatenate(batch_lines), np.concatenate(curved_cell_index)
+    return FittedLines(
+        lines=Lines.concatenate(batch_lines), curved_cell_index=np.concatenate(curved_cell_index)
+    )
 
 
-def _fit_line_batch(edges: EdgeValues, tolerance: float) -> tuple[Lines, Ints]:
-    """Fit a straight line to each of n edges, and find the cells with curved edges.
+class _Quadratics(NamedTuple):
+    """Functions f(p) = c + g . p + p . H p / 2 of a point p = (x, y), as in `Lines`.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f, a
-    function of the position in the picture that is zero on the edge.  The line is parallel to the
-    edge near the centre of the cell, and lies at the edge's mean position.
+    The gradient g at the centre is (a, b); H is a symmetric matrix.
+    """
 
-    Parameters
-    ----------
-    edges : EdgeValues
-        The cells that the n edges may cross, and values of the edge functions.
-    tolerance : float
-        Tolerated error of the mean radiance of a cell.
+    c: Shaped[Floats, "n"]
+    a: Shaped[Floats, "n"]
+    b: Shaped[Floats, "n"]
+    h_xx: Shaped[Floats, "n"]
+    h_xy: Shaped[Floats, "n"]
+    h_yy: Shaped[Floats, "n"]
 
-    Returns
-    -------
-    lines : Lines
-        A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
-        misses the cell.
-    curved_cell_index : (k,) int array
-        Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
-        the tolerance, or if values are unknown.
+    @classmethod
+    def from_values(cls, values: Shaped[Floats, "6 n"]) -> _Quadratics:
+        """Interpolate values at six points, scaled so that their powers are finite in any unit."""
+        center, right, left, lower, upper, corner = values / bound_variation(values)
+        return cls(
+            c=center,
+            a=right - left,
+            b=lower - upper,
+            h_xx=4 * (right + left - 2 * center),
+            h_xy=4 * (corner - right - lower + center),
+            h_yy=4 * (lower + upper - 2 * center),
+        )
+
+    def compute_second_derivatives(
+        self, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
+    ) -> Shaped[Floats, "n"]:
+        """Compute the second derivatives of f in the directions of the vectors (x, y)."""
+        along_both = x * x * self.h_xx + 2 * x * y * self.h_xy + y * y * self.h_yy
+        return along_both / (x * x + y * y)
+
+    def find_nearest_zeros(
+        self, h_gradient: Shaped[Floats, "n"]
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+        """Find x and y of the zero on the line along g through the centre, moved into the cell.
+
+        `h_gradient` is the second derivative along g.
+        """
+        squared_gradient = self.a * self.a + self.b * self.b
+        root = np.sqrt(np.abs(squared_gradient * (squared_gradient - 2 * self.c * h_gradient)))
+        step = -2 * self.c / (squared_gradient + root)
+        max_step = 0.5 / np.maximum(np.abs(self.a), np.abs(self.b))
+        step = np.clip(step, -max_step, max_step)
+        return step * self.a, step * self.b
+
+
+def _fit_line_batch(edges: EdgeValues, tolerance: float) -> tuple[Lines, Shaped[Ints, "k"]]:
+    """Fit a line to each edge, parallel to it near the centre, at the edge's mean position.
+
+    The results are those of `FittedLines`.
     """
     cell_index, values = edges
-    # Values of f, scaled so that powers of the derivatives are finite in any unit of length.
-    center, right, left, lower, upper, corner = values / bound_variation(values)
-    # Near the centre, f(p) = c + g . p + p . H p / 2, with the gradient g = (a, b) and a matrix H.
-    # The second derivatives across and along the edge are h_across and h_along.
-    a, b = right - left, lower - upper
-    h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
-    h_xy = 4 * (corner - right - lower + center)
-    squared_gradient = a * a + b * b
-    # Find the zero p = step * g of f that is nearest to the centre, and move it into the cell.
-    h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / squared_gradient
-    root = np.sqrt(np.abs(squared_gradient * (squared_gradient - 2 * center * h_across)))
-    step = -2 * center / (squared_gradient + root)
-    max_step = 0.5 / np.maximum(np.abs(a), np.abs(b))
-    step = np.clip(step, -max_step, max_step)
-    x, y = step * a, step * b
+    f = _Quadratics.from_values(values)
+    h_across = f.compute_second_derivatives(f.a, f.b)
+    x, y = f.find_nearest_zeros(h_across)
     # Replace f by its tangent plane c + a x + b y at this point.
-    c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
-    a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
+    c = f.c + f.a * x + f.b * y + 0.5 * (x * (f.h_xx * x + 2 * f.h_xy * y) + y * f.h_yy * y)
+    a, b = f.a + f.h_xx * x + f.h_xy * y, f.b + f.h_xy * x + f.h_yy * y
     c -= a * x + b * y
-    squared_gradient = a * a + b * b
-    # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
-    h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / squared_gradient
+    h_along = f.compute_second_derivatives(-b, a)
     max_change = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
+    # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
     lines = Lines(cell_index, *scale((a, b, c + h_along / 24), sign / max_change))
     # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
-    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(squared_gradient)
+    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(a * a + b * b)
     has_line, crosses_cell = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  The negated tests are True for NaN.
-    may_cross = np.where(has_line, crosses_cell, ~(np.abs(center) > 1))
+    may_cross = np.where(has_line, crosses_cell, ~(np.abs(f.c) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
     return lines.take(find(has_line & crosses_cell)), cell_index[find(is_curved)]
 

@@ -1,13 +1,15 @@
 """Find the edges that may cross cells of the picture: silhouettes, creases, shadows, terminators.
 
 A cell is a pixel or a square part of a pixel.  Each edge is described by an edge function: a smooth
-function of the position in the picture that is zero on the edge (see `edge_functions`).  The
-functions of this module yield the values of edge functions at six points of each cell.
+function of the position in the picture that is zero on the edge.  The functions of this module
+yield the values of edge functions at six points of each cell (see `edge_functions`, which lists
+them).
 
-Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
-is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
-which is the point where the ray through the centre of the cell meets a surface.  The search covers
-the *footprint* of the hit, which is the part of the surface that is visible in the cell.
+*Silhouettes* are the outlines of objects; seen from a light, they are the edges of shadows.  They
+are computed for all pixels that the outline of an object may cross, so that an object is found even
+if no sample hits it.  All other edges are searched for around the *hit* of each cell, which is the
+point where the ray through the centre of the cell meets a surface.  The search covers the
+*footprint* of the hit, which is the part of the surface that is visible in the cell.
 """
 
 from __future__ import annotations
@@ -41,20 +43,10 @@ from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
 
-def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
-    """Compute the radius of the patch of surface that each cell of the picture shows.
+def compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n"]:
+    """Compute the radius of the footprint of each hit, in the scene's unit of length.
 
-    Parameters
-    ----------
-    hits : Hits
-        The n hits, where the rays through the centres of the cells meet surfaces.
-    cell_width : float
-        Width of the cells (pixels, or square parts of pixels), in pixels.
-
-    Returns
-    -------
-    footprint_radius : (n,) float array
-        Radius of the visible patch around each hit, in the scene's unit of length.
+    The cells are `cell_width` pixels wide.
     """
     cell_angle, distance = _compute_cell_angle(hits.scene.frame, cell_width), hits.distance
     footprint_radius = np.empty(distance.size)
@@ -68,45 +60,26 @@ def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
 
 
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
-    """Compute the angle that half the diagonal of a square cell subtends at the eye.
+    """Compute the angle in radians that half the diagonal of a cell subtends at the eye.
 
-    Parameters
-    ----------
-    frame : CameraFrame
-        The camera.
-    cell_width : float
-        Width of the cell, in pixels.
-
-    Returns
-    -------
-    angle : float
-        The angle in radians, for a cell straight ahead of the eye.  All other cells subtend smaller
-        angles.
+    The cell is straight ahead of the eye; all others subtend smaller angles.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
-def find_silhouette_pixels(
-    scene: PreparedScene, rows: slice, columns: slice
-) -> tuple[Ints, Ints, Ints]:
-    """Find the pixels that the silhouette of each object may cross.
+class PixelObjects(NamedTuple):
+    """Pairs of a pixel and an object whose silhouette may cross it."""
+
+    row: Shaped[Ints, "n"]
+    column: Shaped[Ints, "n"]
+    object_index: Shaped[Ints, "n"]
+
+
+def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) -> PixelObjects:
+    """Find the pixels of a rectangle that the silhouette of each object may cross.
 
     Objects are convex, so one that covers the top and bottom edges of a pixel covers the whole
     pixel.  All other pixels that it overlaps may contain part of its silhouette.
-
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene, prepared for the camera.
-    rows, columns : slice
-        Rows and columns of the rectangle of pixels to search.
-
-    Returns
-    -------
-    row, column : (n,) int arrays
-        Row and column of the pixel in each of n (pixel, object) pairs.
-    object_index : (n,) int array
-        Index of the object in each pair.
     """
     row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
     # For each interval of pixels: its row, its object, its first column, and the column after it.
@@ -135,35 +108,31 @@ def find_silhouette_pixels(
     interval_row, interval_object, *column_ends = map(np.concatenate, zip(*intervals, strict=True))
     start_column, stop_column = (x.clip(*column_limits).astype(np.intp) for x in column_ends)
     interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
-    return interval_row[interval_index] + rows.start, column, interval_object[interval_index]
+    return PixelObjects(
+        row=interval_row[interval_index] + rows.start,
+        column=column,
+        object_index=interval_object[interval_index],
+    )
 
 
 def evaluate_silhouettes(
-    scene: PreparedScene, viewpoint: Floats, candidates: Ints, ray: Triple
+    scene: PreparedScene,
+    viewpoint: Shaped[Floats, "viewpoints 3"],
+    candidates: Shaped[Ints, "3 n"],
+    ray: Shaped[Triple, "#6 n"],
 ) -> Iterator[EdgeValues]:
-    """Yield edge-function values for each silhouette edge that may cross a cell.
-
-    A silhouette edge is part of the outline of an object, seen from a viewpoint (the eye or a
-    light).  A sphere has one silhouette edge, a box has up to six.  The edge function is a function
-    of the position in the picture that is zero on the edge.
+    """Yield the edges of silhouettes that may cross cells.
 
     Parameters
     ----------
-    scene : PreparedScene
-        The scene, prepared for the camera.
-    viewpoint : (m, 3) float array
-        Positions of the viewpoints, in scene axes.
-    candidates : (3, n) int array
-        Row 0 contains viewpoint indices, row 1 indices of cells (pixels, or square parts of
-        pixels), and row 2 indices of the objects whose silhouette edges may cross the cells.
-    ray : tuple of three (6, n) or (1, n) float arrays
+    viewpoint
+        Positions of the eye or of lights, in scene axes.
+    candidates
+        Row 0 contains viewpoint indices, row 1 cell indices, and row 2 indices of the objects whose
+        silhouettes may cross the cells.
+    ray
         Directions from the viewpoint to the visible surface at six points of each cell (see
-        `compute_rays`), in camera axes.  A single row applies to all six points.
-
-    Yields
-    ------
-    edge_values : EdgeValues
-        For each edge, the index of the cell, and the edge function at the six points.
+        `compute_rays`), in camera axes.
     """
     viewpoint_index, cell_index, object_index = candidates
     for shape in scene.shapes:
@@ -178,49 +147,24 @@ def evaluate_silhouettes(
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
+    """The surfaces that are visible in cells, at hits, at most one in each cell.
 
-    A hit is where the ray through the centre of a cell meets a surface.  The methods find the edges
-    that may cross the cells, and yield `EdgeValues`, which describe the edges.
-
-    Attributes
-    ----------
-    hits : Hits
-        The hits, at most one in each cell.
-    inverse_depth : InverseDepth
-        The surface at each hit, in a form that is fast to intersect with rays.
-    cell_index : (n,) int array
-        Index of the cell of each hit.
-    footprint_radius : (n,) float array
-        Radius, around each hit, of the part of the surface that is visible in the cell.
-    cell_width : float
-        Width of the cells, in pixels.
+    The methods find the edges that may cross the cells.
     """
 
     hits: Hits
-    inverse_depth: InverseDepth
-    cell_index: Ints
-    footprint_radius: Floats
-    cell_width: float
+    inverse_depth: InverseDepth  # the faces at the hits
+    cell_index: Shaped[Ints, "hits"]
+    footprint_radius: Shaped[Floats, "hits"]
+    cell_width: float  # in pixels
 
-    def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
-        """Compute rays through six points of each cell, and intersect them with its surface.
+    def trace_rays(
+        self, hit_index: Shaped[Ints, "k"]
+    ) -> tuple[Shaped[Triple, "#6 k"], Shaped[Floats, "6 k"]]:
+        """Compute the rays of cells (see `compute_rays`), and intersect them with their faces.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Its surface is
-        the one on which the hit lies.
-
-        Parameters
-        ----------
-        hit_index : (k,) int array
-            Index of the hit at the centre of each of k cells.
-
-        Returns
-        -------
-        ray : tuple of three (6, k) or (1, k) float arrays
-            Components of rays from the eye through the six points that `compute_rays` lists, in
-            camera axes.  The forward components have a single row, which applies to all six points.
-        inverse_t : (6, k) float array
-            1 / t for each ray, where t * ray is the vector from the eye to the surface.
+        The second result is 1 / t for each ray, where t * ray is the vector from the eye to the
+        face, extended beyond its rim.
         """
         frame, (x, y, z) = self.hits.scene.frame, take(self.hits.from_eye, hit_index)
         depth_ratio = frame.depth / z
@@ -228,22 +172,9 @@ class CellSurfaces(NamedTuple):
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each cell in which two surfaces may meet.
+        """Yield an edge for each cell in which the visible surface and one behind it may meet.
 
-        One surface is visible at the centre of the cell (a pixel, or a square part of a pixel).
-        The other surface is behind it.  The edge function is zero where the surfaces meet.
-
-        Parameters
-        ----------
-        hidden_hits : Hits
-            Hits behind the visible hits, on the same rays from the eye.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each pair of surfaces, the index of the cell, and the edge function 1 / t1 - 1 / t2
-            at six points of the cell (see `compute_rays`).  The ray through each point meets the
-            visible surface at t1 * ray, and the surface behind it at t2 * ray.
+        The hidden hits are behind the visible hits, on the same rays.
         """
         sample_index = self.hits.sample_index
         hit_by_sample = np.empty(int(sample_index.max(initial=0)) + 1, dtype=np.intp)
@@ -267,7 +198,7 @@ class CellSurfaces(NamedTuple):
         visible_hit_index: Shaped[Ints, "n"],
         is_close: Shaped[Bools, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each surface and planar face that may meet.
+        """Yield an edge for each visible surface and planar face that may meet.
 
         The face belongs to an object behind the surface.  The ray through the centre of the cell
         hits the object, but not necessarily this face.
@@ -289,10 +220,8 @@ class CellSurfaces(NamedTuple):
                 continue
             hidden_index = group.interval.start + find(is_candidate[group.interval])
             object_index, hit_index = hidden_object[hidden_index], visible_hit_index[hidden_index]
-            to_hit, distance = (
-                take(hidden_hits.from_eye, hidden_index),
-                hidden_distance[hidden_index],
-            )
+            to_hit = take(hidden_hits.from_eye, hidden_index)
+            distance = hidden_distance[hidden_index]
             faces = group.shape.intersect_other_faces(object_index, to_hit, cell_angle)
             for face_code, item_index, t, radius in faces:
                 face_hit = hit_index[item_index]
@@ -303,10 +232,9 @@ class CellSurfaces(NamedTuple):
                 )
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each cell that a crease may cross.
+        """Yield an edge for each cell that a crease may cross.
 
-        A crease is an edge between two visible faces of an object.  The ray through the centre of
-        the cell hits one of the faces.
+        A crease is an edge between two visible faces of an object, one of which is hit.
         """
         for group in self.hits.groups:
             faces = group.shape.find_near_faces(
@@ -328,10 +256,10 @@ class CellSurfaces(NamedTuple):
         object_index: Shaped[Ints, "n"],
         hit_index: Shaped[Ints, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each visible surface and face of an object.
+        """Yield the edge where each visible surface meets a face of an object.
 
         The edge function is 1 / t1 - 1 / t2: the ray through a point of the cell meets the surface
-        at t1 * ray, and the face at t2 * ray.  It is zero where the surface meets the face.
+        at t1 * ray, and the face at t2 * ray.
         """
         for batch in split_indices(np.arange(hit_index.size)):
             ray, surface_inverse_t = self.trace_rays(hit_index[batch])
@@ -339,26 +267,14 @@ class CellSurfaces(NamedTuple):
             yield EdgeValues(self.cell_index[hit_index[batch]], surface_inverse_t - face_inverse_t)
 
     def evaluate_shadow_edges(
-        self, light_position: Floats, edge_candidates: Ints
+        self,
+        light_position: Shaped[Floats, "lights 3"],
+        edge_candidates: Shaped[Ints, "3 n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each shadow edge that may cross a cell.
+        """Yield the edges of shadows that may cross cells.
 
-        A shadow edge is a silhouette edge of an occluder, seen from a light.  The edge function is
-        a function of the position in the picture that is zero on the shadow edge.
-
-        Parameters
-        ----------
-        light_position : (m, 3) float array
-            Positions of the lights, in scene axes.
-        edge_candidates : (3, n) int array
-            Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.  The
-            shadow edge may cross the cell (a pixel, or a square part of a pixel) around the hit.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each edge, the index of the cell, and the edge function at six points of the cell
-            (see `compute_rays`).
+        The lights are in scene axes.  Row 0 of `edge_candidates` contains light indices, row 1 hit
+        indices, and row 2 indices of occluders.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(light_position)
@@ -373,22 +289,10 @@ class CellSurfaces(NamedTuple):
             yield from evaluate_silhouettes(scene, light_position, candidates, ray_from_light)
 
     def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each terminator that may cross a cell.
+        """Yield an edge for each terminator that may cross a cell.
 
-        A terminator is the edge where a sphere turns away from a light.  The ray through the centre
-        of the cell (a pixel, or a square part of a pixel) hits the sphere.
-
-        Parameters
-        ----------
-        geometry : LightGeometry
-            The lights, and their positions relative to the hits.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each terminator, the index of the cell, and the edge function at six points of the
-            cell (see `compute_rays`): the cosine of the angle between the normal and the direction
-            to the light, which is zero on the terminator.
+        A terminator is where a curved face turns away from a light.  Its edge function is the
+        cosine of the angle between the normal and the direction to the light.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(geometry.lights.near_position)
