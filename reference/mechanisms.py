@@ -1,8 +1,8 @@
 """Measure what each mechanism of speed or accuracy gains, by switching it off.
 
 ``python -m reference.mechanisms`` writes `mechanisms.md` into this folder.  A mechanism, one of
-those in `mechanisms.json`, is switched off by a replacement of text in a copy of the tracer.  Both tracers render the scene that needs the
-mechanism, alternately, each time in a process of its own.
+those in `mechanisms.json`, is switched off by a replacement of text in a copy of the tracer.  Both
+tracers render the scene that needs the mechanism, alternately, each time in a process of its own.
 """
 
 from __future__ import annotations
