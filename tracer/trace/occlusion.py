@@ -1,6 +1,6 @@
 """Shadows: which lights reach which hits, and where shadows have edges.
 
-The problem is to avoid testing every object for every hit and every light.  Four private concepts
+The problem is to avoid testing every object for every hit and every light.  Five private concepts
 serve this purpose:
 
 packet
@@ -12,6 +12,8 @@ shadow segment
 footprint
     The part of a surface, around a hit, that is visible in a cell of the picture (a pixel or a
     square part of a pixel).
+candidate
+    A triple of a light, a hit (or a packet) and an object that may block the light there.
 crowded
     A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light may cross its
     footprint.
@@ -48,6 +50,7 @@ does not reach it   otherwise
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -71,62 +74,49 @@ from tracer.trace.hits import Hits
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights
 
-# Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
-# are collected before duplicates are removed.  Both limit memory.
-_PACKETS_PER_QUERY, _EDGES_PER_BATCH = BATCH_SIZE // 4, 8 * BATCH_SIZE
+# Maximum number of packets in one query of the light grid: it limits memory.
+_PACKETS_PER_QUERY = BATCH_SIZE // 4
+
+# Maximum number of shadow edges that are collected before duplicates are removed: it limits memory.
+_EDGES_PER_BATCH = 8 * BATCH_SIZE
 
 # A hit with more shadow edges of one light than this is crowded.
 _MAX_EDGES_PER_HIT = 64
 
-# Maximum number of hits in a row packet; minimum and maximum side of a square packet, in samples.
-# Tuned on six scenes of 4 to 1,000 objects: the factors 1/2, 2 and 1/2 make rendering take 1.08,
-# 1.12 and 1.07 times as long; the opposite factors are within 4 %.
-_MAX_ROW_HITS, _MIN_SQUARE_SIDE, _MAX_SQUARE_SIDE = 6, 6, 16
+# Maximum number of hits in a row packet.  Tuned on six scenes of 4 to 1,000 objects: with half of
+# it, rendering takes 1.08 times as long; with twice as many, the time is within 4 %.
+_MAX_ROW_HITS = 6
+
+# Square packets are built if they would have at least this side, in samples.  Tuned on the same
+# scenes: with twice the side, rendering takes 1.12 times as long; with half, it is within 4 %.
+_MIN_SQUARE_SIDE = 6
+
+# Maximum side of a square packet, in samples.  Tuned on the same scenes: with half of it, rendering
+# takes 1.07 times as long; with twice the side, the time is within 4 %.
+_MAX_SQUARE_SIDE = 16
 
 
 class Packets(NamedTuple):
-    """One level of the packet hierarchy: m packets, each of neighbouring hits on one object.
+    """One level of the packet hierarchy: packets of neighbouring hits on one object.
 
     The children of a row packet are hits.  The children of a square packet are row packets.
-
-    Attributes
-    ----------
-    object_index : (m,) int array
-        Index of the object on which all hits of the packet lie.
-    child_start, child_count : (m,) int arrays
-        The children of each packet have the indices child_start to child_start + child_count - 1.
-    center : (3, m) float array
-        Centre of each packet's bounding sphere, in scene axes.
-    radius : (m,) float array
-        Radius of each packet's bounding sphere, which contains the footprints of all its hits.
-    may_be_lit : (lights, m) bool array
-        Whether the light may be visible from any hit of the packet.  At first this is True if any
-        hit of the packet faces the light.  `_find_occluders` sets it to False when a single object
-        shades the whole packet.
     """
 
-    object_index: Ints
-    child_start: Ints
-    child_count: Ints
-    center: Floats
-    radius: Floats
-    may_be_lit: Bools
+    object_index: Shaped[Ints, "packets"]
+    # The children have the indices child_start to child_start + child_count - 1.
+    child_start: Shaped[Ints, "packets"]
+    child_count: Shaped[Ints, "packets"]
+    # Bounding spheres, in scene axes, which contain the footprints of all hits.
+    center: Shaped[Floats, "3 packets"]
+    radius: Shaped[Floats, "packets"]
+    # Whether the light may be visible from any hit.  At first this is True if any hit faces the
+    # light.  `_find_occluders` sets it to False when a single object shades the whole packet.
+    may_be_lit: Shaped[Bools, "lights packets"]
 
-    def replace_by_children(self, packet_columns: Ints) -> Ints:
-        """Replace the index of each packet with the indices of its children.
+    def replace_by_children(self, packet_columns: Shaped[Ints, "rows n"]) -> Shaped[Ints, "rows k"]:
+        """Repeat each column for every child of its packet.
 
-        A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
-
-        Parameters
-        ----------
-        packet_columns : (2, k) or (3, k) int array
-            Row 0 contains light indices, row 1 packet indices, and row 2, if any, object indices.
-
-        Returns
-        -------
-        child_columns : (2, j) or (3, j) int array
-            Each column, repeated for every child of its packet.  Row 1 contains the indices of the
-            children.
+        Row 1 contains indices of packets, which the indices of their children replace.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -136,37 +126,27 @@ class Packets(NamedTuple):
         return child_columns
 
 
+class _Occluders(NamedTuple):
+    """Objects of one shape that may block the light at hits, and hits that are certainly in shadow.
+
+    A hit is certainly in shadow if a single object shades its whole packet.
+    """
+
+    shape: Shape
+    candidates: Shaped[Ints, "3 n"]  # indices of lights, of hits, and of objects between them
+    shaded_pairs: Shaped[Ints, "2 k"]  # indices of lights, and of hits in shadow
+
+
 def _find_occluders(
-    hits: Hits, lights: Lights, faces_light: Bools, margin: Floats | None = None
-) -> Iterator[tuple[Shape, Ints, Ints]]:
+    hits: Hits,
+    lights: Lights,
+    faces_light: Shaped[Bools, "lights n"],
+    margin: Shaped[Floats, "n"] | None = None,
+) -> Iterator[_Occluders]:
     """Find, in batches, the objects that may block the light at each hit.
 
-    Some hits are certainly in shadow, because a single object shades their whole packet (a group of
-    neighbouring hits).  These hits are yielded separately.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits that may be in shadow.
-    lights : Lights
-        The lights that cast the shadows.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Where it does not, occluders may be
-        skipped.
-    margin : (n,) float array, optional
-        If given, also find objects that may block the light at any surface point within this
-        distance of the hit.
-
-    Yields
-    ------
-    shape : Spheres or Boxes
-        The shape of all objects in the batch.
-    candidates : (3, k) int array
-        Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
-        the segment from the hit to the light.
-    shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  The
-        same holds for all surface points within `margin` of these hits.
+    Where the surface does not face the light, occluders may be skipped.  With a margin, the result
+    holds for all points of the surface within this distance of the hit.
     """
     if lights.grid is None or not faces_light.any():
         return
@@ -177,32 +157,16 @@ def _find_occluders(
             candidates, shaded_packets = _test_packets(packets, lights, shape, candidates)
             shaded_pairs = np.concatenate([shaded_pairs, shaded_packets], axis=1)
             candidates, shaded_pairs = map(packets.replace_by_children, (candidates, shaded_pairs))
-        yield shape, candidates, shaded_pairs
+        yield _Occluders(shape=shape, candidates=candidates, shaded_pairs=shaded_pairs)
 
 
 def _query_grid(
     grid: LightGrid, packets: Packets, shapes: Iterable[Shape]
-) -> Iterator[tuple[Shape, Ints]]:
-    """Find the objects that may lie between packets and lights, in batches.
+) -> Iterator[tuple[Shape, Shaped[Ints, "3 n"]]]:
+    """Find the objects that may lie between packets and lights, in batches of one shape.
 
-    A packet is a group of neighbouring hits with a bounding sphere.
-
-    Parameters
-    ----------
-    grid : LightGrid
-        Lists of objects by their direction from each light.
-    packets : Packets
-        The packets.  Pairs of a light and a packet are skipped if `packets.may_be_lit` is False.
-    shapes : iterable of Spheres and Boxes
-        All objects, grouped by shape.
-
-    Yields
-    ------
-    shape : Spheres or Boxes
-        The shape of all objects in the batch.
-    candidates : (3, k) int array
-        Row 0 contains light indices, row 1 packet indices, and row 2 indices of objects that may
-        lie between the packet and the light.
+    The rows contain indices of lights, of packets, and of objects.  Pairs of a light and a packet
+    are skipped unless `packets.may_be_lit`.
     """
     for first_packet in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
         packet_slice = slice(first_packet, first_packet + _PACKETS_PER_QUERY)
@@ -217,32 +181,24 @@ def _query_grid(
 
 
 def _test_packets(
-    packets: Packets, lights: Lights, shape: Shape, candidates: Ints
-) -> tuple[Ints, Ints]:
+    packets: Packets, lights: Lights, shape: Shape, candidates: Shaped[Ints, "3 n"]
+) -> tuple[Shaped[Ints, "3 k"], Shaped[Ints, "2 j"]]:
     """Test which objects shade all hits of a packet, and which may shade some.
 
-    A packet is a group of neighbouring hits.  The segments from these hits to a light lie in a
-    capsule.  An object that misses the capsule shades no hit of the packet.  An object that cuts
-    right through the capsule shades all hits, and `packets.may_be_lit` is set to False.
+    Where an object shades all hits, `packets.may_be_lit` is set to False.
 
     Parameters
     ----------
-    packets : Packets
-        The packets.
-    lights : Lights
-        The lights.
-    shape : Spheres or Boxes
-        The shape of all objects in `candidates`.
-    candidates : (3, k) int array
-        Row 0 contains light indices, row 1 packet indices, and row 2 object indices.
+    candidates
+        Indices of lights, of packets, and of objects of the given shape.
 
     Returns
     -------
-    undecided_candidates : (3, j) int array
-        The columns of `candidates` whose object may shade some hits of the packet.  Packets that a
-        single object shades entirely are excluded.
-    shaded_packets : (2, i) int array
-        Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
+    undecided_candidates
+        The candidates whose object may shade some hits of the packet, without packets that a single
+        object shades entirely.
+    shaded_packets
+        Indices of lights, and of packets that an object shades entirely.
     """
     # An object in an earlier batch may shade the whole packet.
     candidates = candidates.take(find(take_2d(packets.may_be_lit, *candidates[:2])), axis=1)
@@ -258,64 +214,34 @@ def _test_packets(
 
 
 class _EdgeSet:
-    """A set of shadow edges without duplicates.
+    """A set of shadow edges without duplicates, except for those of crowded (light, hit) pairs.
 
     A shadow edge is a triple of a light, a hit and an occluder: the edge of the occluder's shadow
     may pass near the hit.  The set encodes each triple as one integer key.
-
-    Parameters
-    ----------
-    counts : (int, int, int)
-        Total numbers of lights, hits and objects.
-
-    Attributes
-    ----------
-    is_crowded : (lights, hits) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of the light.  The set does not
-        keep the edges of such a (light, hit) pair.
     """
 
-    def __init__(self, counts: tuple[int, int, int]) -> None:
-        self.is_crowded = np.zeros(counts[:2], dtype=np.bool_)
-        self._counts, self._key_batches = counts, [np.zeros(0, dtype=np.intp)]
+    is_crowded: Shaped[Bools, "lights hits"]
 
-    def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set.
+    def __init__(self, light_count: int, hit_count: int, object_count: int) -> None:
+        self.is_crowded = np.zeros((light_count, hit_count), dtype=np.bool_)
+        self._counts = light_count, hit_count, object_count
+        # The first batch is sorted, and has no duplicates.
+        self._key_batches = [np.zeros(0, dtype=np.intp)]
 
-        A (light, hit) pair is crowded if it has more than `_MAX_EDGES_PER_HIT` edges.  Edges of
-        pairs that are already marked as crowded are not added.
-
-        Parameters
-        ----------
-        edges : (3, k) int array
-            Row 0 contains light indices, row 1 hit indices, and row 2 occluder indices.  Duplicates
-            are allowed.
-        """
+    def add(self, edges: Shaped[Ints, "3 n"]) -> None:
+        """Add edges, with duplicates, unless their pair is already marked as crowded."""
         is_kept = ~take_2d(self.is_crowded, edges[0], edges[1])
         self._key_batches.append(np.ravel_multi_index(tuple(edges[:, is_kept]), self._counts))
         if sum(batch.size for batch in self._key_batches[1:]) > _EDGES_PER_BATCH:
             self._merge_batches()
 
-    def get_edges(self) -> Ints:
-        """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
-
-        A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
-        hit.  Edges of (light, hit) pairs with more than `_MAX_EDGES_PER_HIT` edges are excluded.
-
-        Returns
-        -------
-        edges : (3, m) int array
-            Row 0 contains light indices, row 1 hit indices, and row 2 occluder indices.
-        """
+    def get_edges(self) -> Shaped[Ints, "3 n"]:
+        """Return all edges, sorted by light, then by hit, then by occluder."""
         self._merge_batches()
         return np.array(np.unravel_index(self._key_batches[0], self._counts))
 
     def _merge_batches(self) -> None:
-        """Merge all batches of keys into one sorted batch without duplicates.
-
-        A key encodes an edge (a light, a hit and an occluder) as one integer.  If a (light, hit)
-        pair has more than `_MAX_EDGES_PER_HIT` edges, its keys are removed and `is_crowded` is set.
-        """
+        """Merge all batches into one without duplicates, and mark and remove crowded pairs."""
         keys = np.unique(np.concatenate(self._key_batches))
         pair_key = keys // self._counts[2]  # encodes the light and the hit
         pair_start, edge_count = find_runs(pair_key)
@@ -324,111 +250,83 @@ class _EdgeSet:
         self._key_batches = [keys[~is_pair_crowded.repeat(edge_count)]]
 
 
-def find_shadows(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
-    """Test whether each hit is in the shadow of another object, for each light.
+def find_shadows(
+    hits: Hits, lights: Lights, faces_light: Shaped[Bools, "lights n"]
+) -> Shaped[Bools, "lights n"]:
+    """Test whether an object blocks the segment from each hit to each light.
 
-    The object on which a hit lies is not tested.  All objects are convex, so it can only block
-    lights that its surface does not face at the hit.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits that may be in shadow.
-    lights : Lights
-        The lights that cast the shadows.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.
-
-    Returns
-    -------
-    is_blocked : (lights, n) bool array
-        Whether an object blocks the straight segment from the hit to the light; meaningless where
-        `faces_light` is False.
+    The result is meaningless where the surface does not face the light.  The object on which a hit
+    lies is not tested.  All objects are convex, so it can only block lights that its surface does
+    not face at the hit.
     """
     is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light):
-        light_index, hit_index, _ = candidates[:, _test_blocking(hits, lights, shape, candidates)]
+        is_blocking = _test_blocking(hits, lights, shape, candidates)
+        light_index, hit_index, _ = candidates[:, is_blocking]
         put_2d(is_blocked, light_index, hit_index, True)
         put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
     return is_blocked
 
 
+class ShadowEdges(NamedTuple):
+    """Which hits are in shadow, and the visible shadow edges that may cross their footprints."""
+
+    # Whether an object other than the hit's own blocks the segment from the hit to the light;
+    # meaningless where the surface does not face the light.
+    is_blocked: Shaped[Bools, "lights n"]
+    # Indices of lights, of hits, and of occluders, sorted in this order.  Some edges of crowded
+    # hits are omitted.
+    edges: Shaped[Ints, "3 k"]
+    is_crowded: Shaped[Bools, "n"]
+
+
 def find_shadow_edges(
-    hits: Hits, lights: Lights, faces_light: Bools, radius: Floats
-) -> tuple[Bools, Ints, Bools]:
+    hits: Hits,
+    lights: Lights,
+    faces_light: Shaped[Bools, "lights n"],
+    radius: Shaped[Floats, "n"],
+) -> ShadowEdges:
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
-    The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture (a pixel or a part of it).  Shadow edges that may cross the footprint are found, unless
-    a single object shades the whole footprint from the same light.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits that may be in shadow.
-    lights : Lights
-        The lights that cast the shadows.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.
-    radius : (n,) float array
-        Radius of each footprint, in the scene's unit of length.
-
-    Returns
-    -------
-    is_blocked : (lights, n) bool array
-        Whether an object other than the hit's own blocks the segment from the hit to the light;
-        meaningless where `faces_light` is False.
-    edges : (3, m) int array
-        The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
-        indices, row 1 hit indices, and row 2 occluder indices.  Some edges of crowded hits (see
-        `is_crowded`) are omitted.
-    is_crowded : (n,) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of a single light.
+    Shadow edges that may cross the footprint are found, given its radius, unless a single object
+    shades the whole footprint from the same light.
     """
     is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
-    edge_set = _EdgeSet((*faces_light.shape, hits.scene.position_error.size))
+    light_count, hit_count = faces_light.shape
+    edge_set = _EdgeSet(light_count, hit_count, hits.scene.position_error.size)
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
-        is_blocking, is_covering, has_edge = _test_footprints(
-            hits, lights, shape, candidates, radius
-        )
-        put_2d(is_blocked, candidates[0, is_blocking], candidates[1, is_blocking], True)
-        put_2d(is_covered, candidates[0, is_covering], candidates[1, is_covering], True)
+        test = _test_footprints(hits, lights, shape, candidates, radius)
+        light_index, hit_index, _ = candidates
+        put_2d(is_blocked, light_index[test.is_blocking], hit_index[test.is_blocking], True)
+        put_2d(is_covered, light_index[test.is_covering], hit_index[test.is_covering], True)
         put_2d(is_covered, shaded_pairs[0], shaded_pairs[1], True)
-        edge_set.add(candidates[:, has_edge & take_2d(faces_light, candidates[0], candidates[1])])
+        is_facing = take_2d(faces_light, light_index, hit_index)
+        edge_set.add(candidates[:, test.has_edge & is_facing])
     edges = edge_set.get_edges()
     is_visible = ~take_2d(is_covered, edges[0], edges[1])
-    is_crowded = np.any(edge_set.is_crowded & ~is_covered, axis=0)
-    return is_blocked | is_covered, edges[:, is_visible], is_crowded
+    return ShadowEdges(
+        is_blocked=is_blocked | is_covered,
+        edges=edges[:, is_visible],
+        is_crowded=np.any(edge_set.is_crowded & ~is_covered, axis=0),
+    )
+
+
+class _FootprintTest(NamedTuple):
+    """How the shadow of each candidate's object meets the footprint of its hit."""
+
+    is_blocking: Shaped[Bools, "n"]  # the object blocks the segment from the hit to the light
+    is_covering: Shaped[Bools, "n"]  # the shadow covers the footprint
+    has_edge: Shaped[Bools, "n"]  # the edge of the shadow may cross the footprint
 
 
 def _test_footprints(
-    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint_radius: Floats
-) -> tuple[Bools, Bools, Bools]:
-    """Test whether the object of each candidate shades all or part of the footprint of its hit.
-
-    The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture.  If the object shades only part of it, the edge of the shadow crosses the footprint.
-
-    Parameters
-    ----------
-    hits, lights : Hits, Lights
-        All hits and all lights.
-    shape : Spheres or Boxes
-        The shape of all objects in `candidates`.
-    candidates : (3, k) int array
-        Triples to test.  Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
-    footprint_radius : (n,) float array
-        Radius of the footprint of each hit, in the scene's unit of length.
-
-    Returns
-    -------
-    is_blocking : (k,) bool array
-        Whether the object blocks the segment from the hit to the light.
-    is_covering : (k,) bool array
-        Whether the object shades the whole footprint.
-    has_edge : (k,) bool array
-        Whether the edge of the object's shadow may cross the footprint.
-    """
+    hits: Hits,
+    lights: Lights,
+    shape: Shape,
+    candidates: Shaped[Ints, "3 k"],
+    footprint_radius: Shaped[Floats, "n"],
+) -> _FootprintTest:
+    """Apply the table in the module's docstring to (light, hit, object) triples."""
     # If the object shades any part of the footprint, the grown object shades the hit.
     growth = footprint_radius[candidates[1]]
     grown_object_blocks = _test_blocking(hits, lights, shape, candidates, growth)
@@ -441,31 +339,19 @@ def _test_footprints(
     # plane may cross the footprint.
     is_covering &= take_2d(lights.side, candidates[0], candidates[2]) != ON
     has_edge = ~is_covering & (grown_object_blocks | (np.abs(light_distance) <= growth))
-    return is_blocking, is_covering, has_edge
+    return _FootprintTest(is_blocking=is_blocking, is_covering=is_covering, has_edge=has_edge)
 
 
 def _test_blocking(
-    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, growth: Floats | None = None
-) -> Bools:
-    """Test whether the object of each candidate blocks the segment from its hit to its light.
+    hits: Hits,
+    lights: Lights,
+    shape: Shape,
+    candidates: Shaped[Ints, "3 k"],
+    growth: Shaped[Floats, "k"] | None = None,
+) -> Shaped[Bools, "k"]:
+    """Test whether the object of each (light, hit, object) triple blocks the segment.
 
-    A candidate is a triple of a light, a hit and an object.
-
-    Parameters
-    ----------
-    hits, lights : Hits, Lights
-        All hits and all lights.
-    shape : Spheres or Boxes
-        The shape of all objects in `candidates`.
-    candidates : (3, k) int array
-        Triples to test.  Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
-    growth : (k,) float array, optional
-        Distance by which to grow each object before the test; a negative distance shrinks it.
-
-    Returns
-    -------
-    is_blocking : (k,) bool array
-        Whether the object blocks the segment from the hit to the light.
+    Each object is grown by `growth` before the test; a negative distance shrinks it.
     """
     light_index, hit_index, object_index = candidates
     light_position = take(lights.position.T, light_index)
@@ -474,26 +360,12 @@ def _test_blocking(
     return shape.occludes(object_index, hit_position, light_position, light_side, growth)
 
 
-def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -> list[Packets]:
-    """Group neighbouring hits into packets, on one or two levels.
+def build_packet_levels(
+    hits: Hits, faces_light: Shaped[Bools, "lights n"], margin: Shaped[Floats, "n"] | None
+) -> list[Packets]:
+    """Group neighbouring hits into packets: [row packets], or [square packets, row packets].
 
-    A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
-    row packet are consecutive in one row of samples.  A square packet consists of row packets.
-    Square packets are built only if objects are large in the picture.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits to group.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.
-    margin : (n,) float array or None
-        If given, bounding spheres contain all points within this distance of each hit.
-
-    Returns
-    -------
-    levels : list of Packets
-        Either [row packets] or [square packets, row packets].
+    With a margin, bounding spheres contain all points within this distance of each hit.
     """
     samples_across_packet = hits.scene.packet_width * hits.samples.per_pixel_side
     max_row_hits = int(min(max(samples_across_packet, 1), _MAX_ROW_HITS))
@@ -505,29 +377,14 @@ def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -
 
 
 def _build_row_packets(
-    hits: Hits, faces_light: Bools, margin: Floats | None, max_hits: int
+    hits: Hits,
+    faces_light: Shaped[Bools, "lights n"],
+    margin: Shaped[Floats, "n"] | None,
+    max_hits: int,
 ) -> Packets:
-    """Divide runs of hits into row packets of at most `max_hits` hits.
+    """Divide runs into row packets, in the order of the hits.
 
-    A run consists of consecutive hits on the same object, in one row of samples.  The last packet
-    of a run may have fewer hits than the others.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits to divide.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.
-    margin : (n,) float array or None
-        If given, bounding spheres contain all points within this distance of each hit.
-    max_hits : int
-        Maximum number of hits in a packet.
-
-    Returns
-    -------
-    row_packets : Packets
-        The packets, in the order of the hits.  `may_be_lit` is True if the surface at any hit of
-        the packet faces the light.
+    The last packet of a run may have fewer than `max_hits` hits.
     """
     run_length = np.diff(hits.run_start)
     run_index, offset_in_run = enumerate_ranges(-(-run_length // max_hits))
@@ -546,27 +403,10 @@ def _build_row_packets(
 def _build_square_packets(
     hits: Hits, row_packets: Packets, square_width: float
 ) -> tuple[Packets, Packets]:
-    """Group row packets into square packets.
+    """Group row packets into square packets; return these, and the row packets in their order.
 
-    A row packet is a group of hits that are consecutive in one row of samples.  The row packets of
-    a square packet lie on the same object, in the same square of the picture, and at similar
-    depths.  So the hits of a square packet are close together.
-
-    Parameters
-    ----------
-    hits : Hits
-        The hits to which the row packets refer.
-    row_packets : Packets
-        Packets of hits that are consecutive in one row of samples.
-    square_width : float
-        Width and height of the squares, in pixels.
-
-    Returns
-    -------
-    square_packets : Packets
-        Packets whose children are row packets.
-    row_packets : Packets
-        The row packets, sorted so that the children of each square packet are consecutive.
+    The row packets of a square packet lie on the same object, in the same square of the picture,
+    which is `square_width` pixels wide, and at similar depths.
     """
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
@@ -582,22 +422,12 @@ def _build_square_packets(
     return _merge_row_packets(row_packets, first_child, child_count), row_packets
 
 
-def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floats]:
-    """Compute a bounding sphere for each of m groups of consecutive hits.
+def _compute_bounding_spheres(
+    hits: Hits, first_hit: Shaped[Ints, "packets"]
+) -> tuple[Shaped[Floats, "3 packets"], Shaped[Floats, "packets"]]:
+    """Compute the centre and radius of a bounding sphere for each group of consecutive hits.
 
-    Parameters
-    ----------
-    hits : Hits
-        All hits.  The hits of one group lie on the same object, in the same row of samples.
-    first_hit : (m,) int array
-        Index of the first hit of each group.  A group ends before the first hit of the next group.
-
-    Returns
-    -------
-    center : (3, m) float array
-        Centres of the spheres, in scene axes.
-    radius : (m,) float array
-        Radii of the spheres.
+    A group ends before the first hit of the next group.
     """
     # The sphere encloses the bounding box of the hits.
     corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
@@ -607,25 +437,10 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 
-def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Ints) -> Packets:
-    """Merge consecutive row packets into square packets.
-
-    A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
-    of a square packet contains the bounding spheres of its row packets.  A square packet may be
-    lit if at least one of its row packets may be lit.
-
-    Parameters
-    ----------
-    row_packets : Packets
-        All row packets, sorted so that those of one square packet are consecutive.
-    first_child, child_count : (m,) int arrays
-        For each square packet, the index of its first row packet, and the number of row packets.
-
-    Returns
-    -------
-    square_packets : Packets
-        The m square packets.
-    """
+def _merge_row_packets(
+    row_packets: Packets, first_child: Shaped[Ints, "squares"], child_count: Shaped[Ints, "squares"]
+) -> Packets:
+    """Merge consecutive row packets into square packets."""
     low_corner, high_corner = (
         extremum.reduceat(row_packets.center, first_child, axis=1)
         for extremum in (np.minimum, np.maximum)

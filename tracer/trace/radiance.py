@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Annotated as Shaped
 
 import numpy as np
 
@@ -15,46 +16,25 @@ from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 
-def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
-    """Compute the radiance that reaches the eye along the ray through each sample.
+def compute_radiance(
+    scene: PreparedScene, samples: Samples, out: Shaped[Floats, "3 n"] | None = None
+) -> Shaped[Floats, "3 n"]:
+    """Compute the linear RGB radiance that reaches the eye along the ray through each sample.
 
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        The n samples: positions in the picture, through which rays are traced.
-    out : (3, n) float array of zeros, optional
-        Array in which to store the result; it is returned.
-
-    Returns
-    -------
-    radiance : (3, n) float array
-        Linear RGB radiance at each sample; 0 if the ray meets no surface.
+    It is 0 if the ray meets no surface.  If `out` is given, it must contain zeros; it is filled and
+    returned.
     """
     hits = find_nearest_hits(scene, samples)
     return shade(hits, scene.light_batches).compute_radiance(out)
 
 
-def compute_radiance_and_visibility(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
+def compute_radiance_and_visibility(
+    scene: PreparedScene, samples: Samples
+) -> tuple[Shaped[Floats, "3 n"], Shaped[Ints, "n"]]:
     """Compute the radiance of each sample, and an id of what is visible there.
 
-    Two samples have the same visibility id if their rays hit the same face of the same object, and
-    the same lights are visible from both hits.
-
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        The n samples: positions in the picture, through which rays are traced.
-
-    Returns
-    -------
-    radiance : (3, n) float array
-        Linear RGB radiance towards the eye, as from `compute_radiance`.
-    visibility_ids : (n,) int array
-        Visibility id of each sample; -1 if the ray meets no surface.
+    Two samples have the same id if their rays hit the same face of the same object, and the same
+    lights are visible from both hits.  The id is -1 if the ray meets no surface.
     """
     hits = find_nearest_hits(scene, samples)
     shading = shade(hits, scene.light_batches, with_ids=True)
@@ -64,22 +44,7 @@ def compute_radiance_and_visibility(scene: PreparedScene, samples: Samples) -> t
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Compute the light reflected towards the eye at each hit, taking shadows into account.
-
-    Parameters
-    ----------
-    hits : Hits
-        The hits: points where rays from the eye meet surfaces.
-    light_batches : iterable of Lights
-        The lights, in batches.
-    with_ids : bool
-        Whether to compute `Shading.visibility_ids`: one id for each hit.
-
-    Returns
-    -------
-    shading : Shading
-        The reflected light.  `Shading.compute_radiance` converts it to radiance at samples.
-    """
+    """Compute the light reflected towards the eye at each hit, taking shadows into account."""
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:
         geometry = compute_light_geometry(hits, lights)

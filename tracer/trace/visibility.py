@@ -27,7 +27,9 @@ from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene
 
-# Runs of scattered samples end at the borders of squares of this width, in pixels.
+# Runs of scattered samples end at the borders of strips of this width, in pixels, and of the layers
+# of depth that belong to packets of this width (see `CameraFrame.assign_layer`).  So the hits of a
+# run are close together, and have a small bounding sphere.
 _RUN_WIDTH = 4.0
 
 # Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
@@ -81,13 +83,24 @@ class _Intersections(NamedTuple):
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
             return self
-        shape, sample_count, object_index, ray_y, *pair_fields = self
-        if sample_count is None:
-            object_index, ray_y = object_index.take(pair_index), ray_y.take(pair_index)
+        if self.sample_count is None:
+            sample_count = None
+            object_index, ray_y = self.object_index.take(pair_index), self.ray_y.take(pair_index)
         else:
-            sample_count = np.diff(pair_index.searchsorted(sample_count.cumsum()), prepend=0)
-        pair_fields = [field.take(pair_index) for field in pair_fields]
-        return _Intersections(shape, sample_count, object_index, ray_y, *pair_fields)
+            # Count the selected pairs before the end of each span.
+            count_before_end = pair_index.searchsorted(self.sample_count.cumsum())
+            sample_count = np.diff(count_before_end, prepend=0)
+            object_index, ray_y = self.object_index, self.ray_y
+        return _Intersections(
+            shape=self.shape,
+            sample_count=sample_count,
+            object_index=object_index,
+            ray_y=ray_y,
+            sample_index=self.sample_index.take(pair_index),
+            ray_x=self.ray_x.take(pair_index),
+            t=self.t.take(pair_index),
+            hit_data=self.hit_data.take(pair_index),
+        )
 
     def find_run_starts(
         self, samples: Samples, frame: CameraFrame, depth: Shaped[Floats, "n"]
@@ -102,10 +115,12 @@ class _Intersections(NamedTuple):
             is_start = np.zeros(depth.size, dtype=np.bool_)
         if self.sample_count is None:
             x, y = samples.get_positions(self.sample_index)
-            strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.assign_layer(depth, _RUN_WIDTH)
-            is_start |= mark_run_starts(self.object_index, np.floor(y), strip, depth_layer)
+            strip, row = np.floor(x / _RUN_WIDTH), np.floor(y)
+            depth_layer = frame.assign_layer(depth, _RUN_WIDTH)
+            is_start |= mark_run_starts(self.object_index, row, strip, depth_layer)
         else:
-            is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
+            span_start = self.sample_count.cumsum() - self.sample_count
+            is_start[span_start[self.sample_count > 0]] = True
             is_start[1:] |= np.diff(self.sample_index) > 1  # a nearer object interrupts the run
         return find(is_start)
 
@@ -115,12 +130,25 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     frame, groups = scene.frame, []
     sample_ray_x, row_ray_y = samples.compute_ray_x(frame), frame.to_ray_y(samples.y)
     for shape in scene.shapes:
-        object_index, row, span_start, sample_count = samples.find_spans(shape, scene)
-        sample_index = span_start if sample_count is None else join_ranges(sample_count, span_start)
+        object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
+        if sample_count is None:
+            sample_index = first_sample
+        else:
+            sample_index = join_ranges(sample_count, first_sample)
         ray_y, ray_x = row_ray_y.take(row), sample_ray_x.take(sample_index)
         t, hit_data = shape.intersect(object_index, ray_y, ray_x, sample_count)
-        fields = sample_count, object_index, ray_y, sample_index, ray_x, t, hit_data
-        groups.append(_Intersections(shape, *fields))
+        groups.append(
+            _Intersections(
+                shape=shape,
+                sample_count=sample_count,
+                object_index=object_index,
+                ray_y=ray_y,
+                sample_index=sample_index,
+                ray_x=ray_x,
+                t=t,
+                hit_data=hit_data,
+            )
+        )
     return groups
 
 
@@ -154,32 +182,49 @@ def _select_visible(
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
     """Compute the positions and tangent planes of hits from intersections, without misses."""
-    frame, groups = scene.frame, [group for group in groups if group.t.size]
-    group_starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    from_eye, shape_hits, no_hits = np.empty((3, group_starts[-1])), [], np.zeros(0, dtype=np.intp)
-    for group, start, end in zip(groups, group_starts, group_starts[1:], strict=False):
-        group_from_eye = from_eye[:, start:end]
-        ray_y = repeat_runs(group.ray_y, group.sample_count)
-        np.multiply(group.t, group.ray_x, out=group_from_eye[0])
-        np.multiply(group.t, ray_y, out=group_from_eye[1])
-        np.multiply(group.t, frame.depth, out=group_from_eye[2])
-        run_start = group.find_run_starts(samples, frame, group_from_eye[2])
-        run_length = np.diff(run_start, append=end - start)
-        run_object = group.pair_object[run_start]
-        planes = group.shape.compute_tangent_planes(
+    from_eye = np.empty((3, sum(group.t.size for group in groups)))
+    shape_hits, start = list[ShapeHits](), 0
+    for group in groups:
+        if group.t.size:
+            interval = slice(start, start + group.t.size)
+            shape_hits.append(_build_shape_hits(scene, samples, group, from_eye, interval))
+            start = interval.stop
+    # Without groups, np.concatenate needs an array that has the type of the result.
+    no_index = np.zeros(0, dtype=np.intp)
+    run_length = np.concatenate([no_index, *(group.run_length for group in shape_hits)])
+    return Hits(
+        scene=scene,
+        samples=samples,
+        from_eye=from_eye,
+        groups=shape_hits,
+        sample_index=np.concatenate([no_index, *(group.sample_index for group in shape_hits)]),
+        run_start=np.append(0, run_length.cumsum()),
+        run_object=np.concatenate([no_index, *(group.run_object for group in shape_hits)]),
+    )
+
+
+def _build_shape_hits(
+    scene: PreparedScene,
+    samples: Samples,
+    group: _Intersections,
+    from_eye: Shaped[Floats, "3 hits"],
+    interval: slice,
+) -> ShapeHits:
+    """Compute the hits on objects of one shape, and store their positions in part of `from_eye`."""
+    group_from_eye = from_eye[:, interval]
+    np.multiply(group.t, group.ray_x, out=group_from_eye[0])
+    np.multiply(group.t, repeat_runs(group.ray_y, group.sample_count), out=group_from_eye[1])
+    np.multiply(group.t, scene.frame.depth, out=group_from_eye[2])
+    run_start = group.find_run_starts(samples, scene.frame, group_from_eye[2])
+    run_length = np.diff(run_start, append=group.t.size)
+    run_object = group.pair_object[run_start]
+    return ShapeHits(
+        shape=group.shape,
+        interval=interval,
+        sample_index=group.sample_index,
+        run_length=run_length,
+        run_object=run_object,
+        planes=group.shape.compute_tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
-        )
-        shape_hits.append(
-            ShapeHits(
-                shape=group.shape,
-                interval=slice(start, end),
-                sample_index=group.sample_index,
-                run_length=run_length,
-                run_object=run_object,
-                planes=planes,
-            )
-        )
-    run_start = np.concatenate([no_hits, [0], *(group.run_length for group in shape_hits)]).cumsum()
-    sample_index = np.concatenate([no_hits, *(group.sample_index for group in shape_hits)])
-    run_object = np.concatenate([no_hits, *(group.run_object for group in shape_hits)])
-    return Hits(scene, samples, from_eye, shape_hits, sample_index, run_start, run_object)
+        ),
+    )

@@ -27,9 +27,14 @@ from tracer.world.light_grid import LightGrid, build_light_grid
 # All kinds of objects, in the order of `Surfaces.tables`.
 SHAPES: tuple[type[Shape], ...] = (Spheres, Boxes)
 
-# In one batch of samples, the maximum number of pairs of a sample and an object on its ray; in one
-# batch of lights, the maximum number of lights, and of pairs of a light and an object.
-_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
+# Maximum number of pairs of a sample and an object on its ray in one batch of samples.
+_MAX_SAMPLE_PAIRS = 12 * BATCH_SIZE
+
+# Maximum number of lights in one batch of lights.
+_MAX_LIGHTS = 4
+
+# Maximum number of pairs of a light and an object in one batch of lights.
+_MAX_LIGHT_PAIRS = 4 * BATCH_SIZE
 
 # Once the cache of light batches has at least this many bytes, no batches are added.  The other
 # batches are prepared again and again, which takes less time than computing their shadows.
@@ -40,6 +45,9 @@ _MAX_CACHED_BYTES = 1 << 26
 # scenes of 4 to 1,000 objects: with half the width, rendering takes 1.13 times as long; with twice
 # the width, between 0.98 and 1.06 times.
 _PACKET_SCALE = 0.75
+
+# Stands for the highlights of surfaces without any.
+_NOT_GLOSSY = Phong(exponent=0.0)
 
 # The hash of an object is the sum of its numbers, each times one of these factors.
 _HASH_FACTORS = np.sqrt([2, 3, 5, 7, 11])
@@ -98,32 +106,44 @@ class PreparedScene:
     packet_width: float  # in pixels; a packet is a group of neighbouring hits
 
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
-        self.surfaces = surfaces = scene.surfaces
-        self.frame = frame = compute_frame(scene.camera, scene.width, scene.height, offset)
-        shapes = [shape.from_surfaces(frame, surfaces) for shape in SHAPES]
-        self._all_shapes, self.shapes = shapes, tuple(s for s in shapes if s.objects.size)
-        self.is_duplicate = _find_duplicates(surfaces)
-        bounds = ScreenBounds(*map(np.concatenate, zip(*(s.bounds for s in shapes), strict=True)))
-        self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
+        self.surfaces = scene.surfaces
+        self.frame = compute_frame(scene.camera, scene.width, scene.height, offset)
+        self._prepare_objects()
+        self._prepare_shaders()
+        self.light_count = len(scene.lights)
+        self._lights = scene.lights
+        self._cache, self._lock = dict[int, Lights](), Lock()
+
+    def _prepare_objects(self) -> None:
+        """Set the attributes that follow from the geometry of objects."""
+        shapes = [shape.from_surfaces(self.frame, self.surfaces) for shape in SHAPES]
+        self._all_shapes = shapes
+        self.shapes = tuple(shape for shape in shapes if shape.objects.size)
         self.is_eye_inside = np.concatenate([shape.is_eye_inside for shape in shapes])
         self.curvature = np.concatenate([shape.curvature for shape in shapes])
-        self.depth_complexity = self.bounds.compute_depth_complexity(frame)
-        self.window = self.bounds.compute_window(frame)
-        colors = [
-            (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
-            for s in surfaces.shaders
-        ]
-        table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
-        self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
-        self.is_glossy = np.any(table[3:6] > 0, axis=0)
         coordinate_bound = np.concatenate([shape.coordinate_bound for shape in shapes])
-        self.position_error = POSITION_ROUNDING * (coordinate_bound + np.abs(frame.eye).sum())
-        # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
-        # pixels are lower than wide, there are more packets instead.
-        pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
-        self.packet_width = _PACKET_SCALE * sqrt(pixel_count / max(coordinate_bound.size, 1))
-        self._lights, self.light_count = scene.lights, len(scene.lights)
-        self._cache, self._lock = dict[int, Lights](), Lock()
+        max_coordinate_sum = coordinate_bound + np.abs(self.frame.eye).sum()
+        self.position_error = POSITION_ROUNDING * max_coordinate_sum
+        self.is_duplicate = _find_duplicates(self.surfaces)
+        sides = map(np.concatenate, zip(*(shape.bounds for shape in shapes), strict=True))
+        bounds = ScreenBounds._make(sides)
+        # Rectangles with top > bottom are not visible.
+        self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
+        self.depth_complexity = self.bounds.compute_depth_complexity(self.frame)
+        self.window = self.bounds.compute_window(self.frame)
+        self.packet_width = _choose_packet_width(self.frame, coordinate_bound.size)
+
+    def _prepare_shaders(self) -> None:
+        """Set the colours and exponents of objects."""
+        shaders, shader_index = self.surfaces.shaders, self.surfaces.shader_index
+        glossy = [s if isinstance(s, Phong) else _NOT_GLOSSY for s in shaders]
+        diffuse = np.array([shader.diffuse for shader in shaders]).reshape(-1, 3)
+        specular = np.array([shader.specular for shader in glossy]).reshape(-1, 3)
+        exponent = np.array([shader.exponent for shader in glossy], dtype=np.float64)
+        self.diffuse = diffuse.T.take(shader_index, axis=1)
+        self.specular = specular.T.take(shader_index, axis=1)
+        self.exponent = exponent.take(shader_index)
+        self.is_glossy = np.any(self.specular > 0, axis=0)
 
     def choose_batch_size(self, max_samples: int) -> int:
         """Choose how many samples, from 1 to `max_samples`, to trace together, to limit memory.
@@ -134,7 +154,10 @@ class PreparedScene:
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """Yield all lights of the scene, in smaller batches if there are many objects."""
+        """All lights of the scene, in smaller batches if there are many objects.
+
+        Each access starts again with the first light.
+        """
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, lights_per_batch):
@@ -174,8 +197,16 @@ class PreparedScene:
         )
 
 
+def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
+    """Choose the width of packets, in pixels: see `_PACKET_SCALE`."""
+    # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
+    # pixels are lower than wide, there are more packets instead.
+    pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
+    return _PACKET_SCALE * sqrt(pixel_count / max(object_count, 1))
+
+
 def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
-    """Find the objects that have the same geometry as an object earlier in the file."""
+    """Find the objects that have the same kind and numbers as an object earlier in the file."""
     is_duplicate = np.empty(len(surfaces), dtype=np.bool_)
     for kind, columns in surfaces.tables.items():
         objects = get_object_range(surfaces, kind).slice
