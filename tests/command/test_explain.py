@@ -91,6 +91,18 @@ def test_a_face_blocks_a_light_in_its_plane():
     assert (pixel.normal, light.n_dot_l, light.occluders) == ((0, 0, 1), 0, (pixel.surface,))
 
 
+def test_a_surface_does_not_block_a_light_at_its_horizon():
+    """Most lights are less far above or below the horizon than rounding errors of shadow rays."""
+    pixel = tracer.explain(BALL, 2, 3)
+    tangent = np.cross(pixel.normal, (1, 0, 0))
+    tangent /= np.linalg.norm(tangent)
+    heights = np.concatenate([np.logspace(-16, -6, 40), -np.logspace(-16, -10, 30)])[:, None]
+    steps = 1e-6 * (tangent + heights * np.array(pixel.normal))
+    lights = [PointLight(position=pixel.point + step) for step in steps]
+    parts = tracer.explain(replace(BALL, lights=lights), 2, 3).lights
+    assert [any(part.diffuse) for part in parts] == [not part.occluders for part in parts]
+
+
 def test_a_pixel_is_traced_once(monkeypatch):
     samples = record_calls(
         monkeypatch, explanation, "find_nearest_hits", lambda _, samples: samples
@@ -187,7 +199,8 @@ def test_a_warning_in_a_notebook_is_about_the_line_that_shows_the_scene():
 
 
 @pytest.mark.parametrize(
-    ("size", "shown"), [((96, 24), (48, 12)), ((24, 24), (24, 24)), ((65, 2), (64, 1))]
+    ("size", "shown"),
+    [((96, 24), (48, 12)), ((24, 24), (24, 24)), ((65, 2), (64, 1)), ((2, 65), (1, 64))],
 )
 def test_a_picture_in_a_notebook_is_no_larger_than_a_browser_shows(monkeypatch, size, shown):
     monkeypatch.setattr("tracer.picture.notebook._MAX_PIXELS", 24 * 24)
@@ -207,8 +220,9 @@ def test_a_picture_in_a_notebook_is_no_larger_than_a_browser_shows(monkeypatch, 
 def test_a_large_picture_in_a_notebook_takes_little_memory():
     scene = replace(BALL, width=1500, height=1500)
     tracemalloc.start()
-    show_in_notebook(scene)
+    _, messages = show_in_notebook(scene)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
+    assert messages == []  # the last tile is black, but not the picture
     # A tile has 98,304 samples, whose arrays take about 10 MB; the whole picture takes 54 MB.
     assert peak < 24 * 1500 * 1500 / 2
