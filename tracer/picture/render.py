@@ -13,6 +13,10 @@ A `RenderJob` is a picture to render.  Other processes receive only its argument
 prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
 them with any executor.  `render_tiles` yields the tiles encoded for a file.
 
+Threads that render at once share a scene, a `RenderJob` and its `PreparedScene`.  None of them is
+changed after it is built, but for caches whose values do not depend on the thread that computes
+them.  If two threads render the same tile of a picture, they write the same bits.
+
 Radiance is linear RGB.  A `Rectangle` gives the rows and columns of a tile in the picture.
 """
 
