@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
@@ -126,7 +127,10 @@ def describe_origin() -> str:
     The line gives the date, the commit, the processor, the system, and the versions of programs.
     """
     povray_match = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
-    versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
+    versions = []
+    for package in ("numpy", "mitsuba"):
+        with suppress(metadata.PackageNotFoundError):  # Mitsuba has no wheel for some Pythons
+            versions.append(f"{package} {metadata.version(package)}")
     software = [platform.system(), f"Python {platform.python_version()}", *versions]
     processor = f"{_describe_processor()} ({count_processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")

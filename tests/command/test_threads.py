@@ -139,7 +139,7 @@ def test_a_small_picture_starts_no_thread(monkeypatch, workers):
     monkeypatch.undo()
     monkeypatch.setattr(parallel, "has_lock", lambda: False)
     started = []
-    monkeypatch.setattr(threading.Thread, "start", started.append)
+    monkeypatch.setattr(threading.Thread, "start", lambda thread: started.append(thread))
     render(sphere_scene(40, 30))
     assert started == []
 
