@@ -31,15 +31,23 @@ from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event
 
+import numpy as np
+
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page, render_student_pages
-from reference.handins.diagnosis import AGREEING_KINDS, Reference, find_worst_pixel
-from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
+from reference.handins.diagnosis import (
+    AGREEING_KINDS,
+    UNKNOWN,
+    Reference,
+    find_worst_pixel,
+    make_verdict,
+)
+from reference.handins.folders import HandIn, list_hand_ins, list_references, match_hand_ins
 from reference.handins.results import Result, format_csv, format_json, format_text, sort_causes
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
-from reference.pictures import read_picture
+from reference.pictures import Codes, read_picture
 from tracer import load_scene
 from tracer.command.arguments import OUTPUT_REMEDY, check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
@@ -253,6 +261,19 @@ def _load_reference(path: Path) -> Reference:
         return Reference(load_scene(path), shlex.quote(str(path)))
 
 
+@lru_cache(maxsize=1)
+def _load_all_codes(folder: Path) -> dict[str, Codes]:
+    """Render all scenes of a folder, and read its reference pictures: codes by file name.
+
+    What cannot be read is left out: its own hand-ins get the error.
+    """
+    all_codes = {}
+    for path in list_references(folder).values():
+        with suppress(Failure):
+            all_codes[path.name] = _load_reference.__wrapped__(path).codes
+    return all_codes
+
+
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
     """Compare a submitted picture with its reference, and return errors instead of raising them.
 
@@ -290,12 +311,17 @@ def _compare_files(
     """
     picture, reference = read_picture(picture_path), _load_reference(reference_path)
     diagnosis = reference.diagnose(picture)
+    if diagnosis.kind in ("size", UNKNOWN) and options.reference.is_dir():
+        for name, codes in _load_all_codes(options.reference).items():
+            if np.array_equal(codes, picture.codes):
+                diagnosis = make_verdict("other-scene", f"It is the picture of {name}.")
     notes = ("It", picture.note), (reference_path.name, reference.picture.note)
     sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
     result = result._replace(diagnosis=diagnosis.prepend_text(" ".join(sentences)))
     if picture.codes.shape != reference.codes.shape:
-        codes = picture.codes, reference.codes
-        return result, make_pair(result, *codes, None) if options.html else None
+        if not options.html:
+            return result, None
+        return result, make_pair(result, picture.codes, reference.codes, None)
     ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)
     agrees = diagnosis.kind in AGREEING_KINDS
     if options.ssim is not None or options.max is not None:

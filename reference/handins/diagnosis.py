@@ -114,7 +114,7 @@ class Diagnosis:
         return replace(self, causes=tuple(causes))
 
 
-def _make_verdict(keyword: str, sentence: str) -> Diagnosis:
+def make_verdict(keyword: str, sentence: str) -> Diagnosis:
     """Make a diagnosis of one keyword, such as "identical", and a sentence that explains it."""
     return Diagnosis(({keyword: sentence},))
 
@@ -190,7 +190,7 @@ class Reference:
         if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
         if symptom := symptoms.find_reference_within(picture.codes, self.codes):
-            return _make_verdict(*symptom).prepend_text(size_sentence)
+            return make_verdict(*symptom).prepend_text(size_sentence)
         if (width, height) == reference_size:
             upright_codes = {keyword: turn_back(picture.codes)
                              for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()}  # fmt: skip
@@ -203,7 +203,7 @@ class Reference:
                 sentence = self._get_renderer(*reference_size).mistakes[keyword].sentence
                 return diagnosis.add_mistake(keyword, sentence).prepend_text(size_sentence)
         if not self.scene:
-            return _make_verdict("size", size_sentence)
+            return make_verdict("size", size_sentence)
         return self._diagnose_pixels(picture).add_mistake("size", size_sentence)
 
     def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
@@ -229,7 +229,7 @@ class Reference:
         noise = format_noise or _PICTURE_NOISE * (self.scene is None)
         submission = Submission(to_columns(codes), renderer, noise, picture.reencode)
         if format_noise and submission.is_wrong.mean() < 0.01:
-            return _make_verdict("format", "It is the right picture.")
+            return make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()
         if finding.causes:
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
@@ -237,7 +237,7 @@ class Reference:
             causes = (_format_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
         if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
-            return _make_verdict(*symptom)
+            return make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
 
     def _diagnose_unknown(self, submission: Submission, finding: Finding) -> Diagnosis:
@@ -258,7 +258,7 @@ class Reference:
         """
         if not submission.clearly_wrong_count:
             clause = symptoms.format_count(submission.wrong_count, "is", "are")
-            return _make_verdict(UNKNOWN, f"{clause} one level off; no known mistake does this.")
+            return make_verdict(UNKNOWN, f"{clause} one level off; no known mistake does this.")
         mistake_count = len(submission.renderer.mistakes)
         sentence, details = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
@@ -457,10 +457,10 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     differences = compare_levels(submitted_codes, reference_codes)
     count = int(np.count_nonzero(differences))
     if not count:
-        return _make_verdict("identical", "The pictures are identical.")
+        return make_verdict("identical", "The pictures are identical.")
     if count <= max(10, 0.01 * differences.size) and differences.max() == 1:
         sentence = f"{symptoms.format_count(count)} by one level: rounding, nothing to worry about."
-        return _make_verdict("rounding", sentence)
+        return make_verdict("rounding", sentence)
     return None
 
 
@@ -480,8 +480,8 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     if np.ptp(codes, axis=(0, 1)).any():
         return None
     if codes.any():
-        return _make_verdict("flat", "The picture has one colour everywhere.")
-    return _make_verdict("black", "The picture is black.")
+        return make_verdict("flat", "The picture has one colour everywhere.")
+    return make_verdict("black", "The picture is black.")
 
 
 def _format_sentences(cause: Cause, submission: Submission) -> dict[str, str]:

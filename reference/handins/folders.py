@@ -81,7 +81,7 @@ def match_hand_ins(
         follow: first for scenes that other students have handed in, then for scenes that nobody has
         handed in.  An empty subfolder, and a name of the class list, count as a student.
     """
-    path_by_scene = _list_references(reference_path)
+    path_by_scene = list_references(reference_path)
     hand_ins = [_match_hand_in(path, class_path, reference_path, path_by_scene) for path in files]
     hand_ins = [
         hand_in._replace(student=_find_in_class_list(hand_in.student, names))
@@ -124,7 +124,7 @@ def _find_words(words: str, text: str) -> re.Match[str] | None:
     return re.search(rf"(?<![^\W_]){pattern}(?![^\W_])", text, re.IGNORECASE)
 
 
-def _list_references(reference_path: Path) -> dict[str, Path]:
+def list_references(reference_path: Path) -> dict[str, Path]:
     """List the scenes and reference pictures by name in lower case, without suffixes.
 
     In a folder with the scene `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable
 from functools import cache, partial
+from typing import Annotated as Shaped
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,6 +23,12 @@ Formulas: TypeAlias = dict[str, Callable[..., Any]]
 
 # Minimum t of a hit: a camera ray ignores surfaces that are closer to its origin.
 _MIN_T = 1e-9
+# Minimum light of the highlights from which an exponent is estimated.
+_MIN_WEIGHT = 0.05
+# Maximum number of pixels from which it is estimated.
+_MAX_FITTED_PIXELS = 1000
+# A whole number may fit this much worse than the best one: codes are rounded.
+_WHOLE_MARGIN = 1.02
 
 
 def normalize(vectors: Array, axis: int = 0) -> Array:
@@ -112,25 +119,26 @@ def intersect_spheres(
 
 
 def intersect_boxes(
-    min_pt: Array, max_pt: Array, o: Array, d: Array, *, sort_crossings: bool = True
-) -> Array:
+    min_pt: Shaped[Array, "3 boxes 1"],
+    max_pt: Shaped[Array, "3 boxes 1"],
+    o: Shaped[Array, "3 n"],
+    d: Shaped[Array, "3 n"],
+    *,
+    sort_crossings: bool = True,
+    missing_face: int | None = None,
+) -> Shaped[Array, "2 boxes n"]:
     """Intersect each of n rays o + t d with each axis-aligned box.
+
+    The result is the smaller and the larger t at which each ray crosses each box; NaN if the ray's
+    line misses the box.
 
     Parameters
     ----------
-    min_pt, max_pt : (3, boxes, 1) arrays
-        Corners of the boxes with the smallest and with the largest coordinates.
-    o, d : (3, n) arrays
-        Origins and directions of the rays.
-    sort_crossings : bool
-        Whether to sort the values of t at two opposite faces.  False simulates the mistake of not
-        sorting them.
-
-    Returns
-    -------
-    roots : (2, boxes, n) array
-        The smaller and the larger t at which each ray crosses each box; NaN if the ray's line
-        misses the box.
+    sort_crossings
+        False simulates the mistake of not sorting the values of t at two opposite faces.
+    missing_face
+        Simulates a box that lacks a face: 0 for that at the smallest x, 1 for that at the largest
+        x, 2 and 3 for y, 4 and 5 for z.
     """
     entry_t, exit_t = -np.inf, np.inf
     for axis in range(3):
@@ -138,7 +146,13 @@ def intersect_boxes(
         if sort_crossings:
             first_t, second_t = np.minimum(first_t, second_t), np.maximum(first_t, second_t)
         entry_t, exit_t = np.maximum(entry_t, first_t), np.minimum(exit_t, second_t)
-    return np.where(entry_t <= exit_t, np.stack([entry_t, exit_t]), np.nan)
+    roots = np.stack([entry_t, exit_t])
+    if missing_face is not None:
+        axis, is_max = divmod(missing_face, 2)
+        face_t = ((max_pt if is_max else min_pt)[axis] - o[axis]) / d[axis]
+        # Where a ray would cross the missing face, it crosses only the opposite one.
+        roots = np.where(roots == face_t, roots[::-1], roots)
+    return np.where(entry_t <= exit_t, roots, np.nan)
 
 
 def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
@@ -313,28 +327,32 @@ def select_last_value(values: Array, is_chosen: Array) -> Array:
 
 
 def compute_box_normals(
-    hits: Array, min_pt: Array, max_pt: Array, axis_shift: int = 0, forced_sign: float | None = None
-) -> Array:
+    hits: Shaped[Array, "3 n"],
+    min_pt: Shaped[Array, "3 n"],
+    max_pt: Shaped[Array, "3 n"],
+    axis_shift: int = 0,
+    forced_sign: float | None = None,
+    *,
+    as_cube: bool = False,
+) -> Shaped[Array, "3 n"]:
     """Compute the unit normals of boxes at n hits, correctly or with a simulated mistake.
 
     Parameters
     ----------
-    hits : (3, n) array
-        Points on the faces of boxes.
-    min_pt, max_pt : (3, n) arrays
-        Opposite corners of the box at each hit.
-    axis_shift : int
+    min_pt, max_pt
+        Opposite corners of the box at each hit, in any order.
+    axis_shift
         Simulates confused axes: with 1, normals of x-faces lie along y; with 2, along z.
-    forced_sign : float, optional
+    forced_sign
         Simulates the mistake of giving all normals this sign, 1 or -1.  By default, normals point
         outward.
-
-    Returns
-    -------
-    normals : (3, n) array
+    as_cube
+        Simulates the mistake of taking the axis along which a hit is farthest from the centre.
     """
-    from_center, half_size = hits - (min_pt + max_pt) / 2, (max_pt - min_pt) / 2
-    face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
+    from_center = hits - (min_pt + max_pt) / 2
+    half_size = np.abs(max_pt - min_pt) / 2
+    distances = np.abs(from_center)
+    face_axis = (distances if as_cube else -np.abs(distances - half_size)).argmax(axis=0)
     face_coordinate = np.take_along_axis(from_center, face_axis[None], axis=0)[0]
     sign = np.where(face_coordinate < 0, -1.0, 1.0) if forced_sign is None else forced_sign
     return np.eye(3)[:, (face_axis + axis_shift) % 3] * sign
@@ -378,6 +396,38 @@ def compute_median(is_selected: Array, values: Array, default: float) -> float:
     """
     selected_values = values[is_selected]
     return float(np.median(selected_values)) if selected_values.size else default
+
+
+def fit_exponent(
+    is_typical: Shaped[Array, "3 n"],
+    measured_light: Shaped[Array, "3 n"],
+    weights: Shaped[Array, "lights 3 n"],
+    nh: Shaped[Array, "lights n"],
+) -> float:
+    """Estimate the exponent of all highlights of a submitted picture.
+
+    `measured_light` is that of highlights alone, and `weights` their light where `nh` is 1.
+    The result is a whole number if that fits as well.
+    """
+    # Use typical pixels with strong highlights, as many as show the exponent.
+    has_highlight = is_typical.all(axis=0) & (weights > _MIN_WEIGHT).any(axis=(0, 1))
+    pixel_index = np.flatnonzero(has_highlight)[:_MAX_FITTED_PIXELS]
+    measured_light, weights = measured_light[:, pixel_index], weights[..., pixel_index]
+    cosine = np.maximum(nh[:, None, pixel_index], 0)
+    if not pixel_index.size:
+        return 1.0
+
+    def compute_error(exponent: float) -> float:
+        light = (weights * cosine**exponent).sum(axis=0)
+        return float(np.abs(measured_light - light).mean())
+
+    exponents, step = np.geomspace(0.1, 5000, 40), (5000 / 0.1) ** (1 / 39)
+    for _ in range(5):
+        exponent = float(min(exponents, key=compute_error))
+        exponents, step = exponent * np.geomspace(1 / step, step, 9), step**0.25
+    whole = float(round(exponent))
+    is_whole = compute_error(whole) <= _WHOLE_MARGIN * compute_error(exponent)
+    return whole if is_whole else exponent
 
 
 def find_background_color(is_hit: Array, submitted_codes: Array) -> Array:
@@ -453,7 +503,8 @@ _OWN_FUNCTIONS: tuple[Callable[..., Any], ...] = (
     normalize, dot, select_vectors, intersect_spheres, intersect_boxes, make_scaled_intersect,
     make_far_intersect, make_intersect, find_first_crossing, intersect_shadow_rays,
     find_blocking_surfaces, select_last_value, compute_box_normals, convert_to_grey,
-    find_background_color, compute_median, interpolate_light, guess_hits, len, partial,
+    find_background_color, compute_median, fit_exponent, interpolate_light, guess_hits,
+    len, partial,
 )  # fmt: skip
 _NUMPY_NAMES = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64
     isfinite log logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt

@@ -122,8 +122,8 @@ PICTURE_FORMULAS = parse_formulas(
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     """List the mistakes that a tracer may make when it renders a scene.
 
-    A row of `_MISTAKES` with ``{surface}`` or ``{light}`` in its sentence is repeated for each
-    surface or light.  The index of the surface or light replaces ``{k}`` in the row.
+    A row of `_MISTAKES` with ``{surface}``, ``{light}`` or ``{face}`` in its sentence is repeated
+    for each surface, light or face of a box, whose index replaces ``{k}`` in the row.
 
     Parameters
     ----------
@@ -139,6 +139,7 @@ def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     names_by_placeholder = {
         "{surface}": [str(SurfaceRef.from_index(scene, k)) for k in range(len(scene.surfaces))],
         "{light}": [f"Light {index}{note}" for index, note in enumerate(line_notes)],
+        "{face}": [f"face at {corner}'s {axis}" for axis in "xyz" for corner in ("minPt", "maxPt")],
     }
     mistakes = {}
     for keyword, sentence, assignments in _MISTAKES:

@@ -46,6 +46,18 @@ _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0
 # Maximum number of places at which to look for the reference picture in a larger picture, and
 # maximum share of its pixels that may differ by more than one level there.
 _MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
+# Sides of tiles in which pictures are rendered, in pixels.
+_TILE_SIDES = (128, 100, 64, 50, 32, 25, 20, 16, 10, 8)
+# A palette has at most this many colours, and changes levels by at most this much.
+_PALETTE_SIZE, _MAX_PALETTE_LEVELS = 256, 32
+# How programs scale pictures.
+_SCALINGS = (
+    Image.Resampling.NEAREST,
+    Image.Resampling.BOX,
+    Image.Resampling.BILINEAR,
+    Image.Resampling.BICUBIC,
+    Image.Resampling.LANCZOS,
+)
 
 
 class LightErrors(NamedTuple):
@@ -205,6 +217,13 @@ def find_reference_within(
         submitted_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
     ):
         return "enlarged", f"It is the right picture, enlarged {factor} times."
+    size = submitted_codes.shape[1], len(submitted_codes)
+    image = Image.fromarray(reference_codes)
+    if any(
+        _are_similar(submitted_codes, np.asarray(image.resize(size, scaling)))
+        for scaling in _SCALINGS
+    ):
+        return "scaled", "It is the right picture, scaled."
     row_count = len(submitted_codes) - height + 1
     column_count = submitted_codes.shape[1] - width + 1
     if row_count <= 0 or column_count <= 0:
@@ -221,6 +240,91 @@ def find_reference_within(
         if _are_similar(crop, reference_codes):
             return "border", "It is the right picture, with a border."
     return None
+
+
+def find_unrendered_part(
+    submitted_codes: Shaped[Codes, "h w 3"], is_wrong: Shaped[Bools, "h w"]
+) -> str:
+    """Describe the rows, columns or tiles that are black and contain all wrong pixels.
+
+    The result is empty if there are none, or if no pixel is wrong.
+    """
+    is_black = np.equal(submitted_codes.max(axis=2), 0)
+    if not is_wrong.any() or (is_wrong & ~is_black).any():
+        return ""
+    return (
+        _describe_black_lines(is_black, is_wrong, "row")
+        or _describe_black_lines(is_black.T, is_wrong.T, "column")
+        or _describe_black_tiles(is_black, is_wrong)
+    )
+
+
+def _describe_black_lines(
+    is_black: Shaped[Bools, "lines n"], is_wrong: Shaped[Bools, "lines n"], noun: str
+) -> str:
+    """Describe black lines in series, or every second one, that contain all wrong pixels."""
+    wrong_lines = np.flatnonzero(np.logical_or.reduce(is_wrong, axis=1))
+    black_lines = {*np.flatnonzero(np.logical_and.reduce(is_black, axis=1)).tolist()}
+    first, last = int(wrong_lines[0]), int(wrong_lines[-1])
+    if not black_lines.issuperset(wrong_lines.tolist()):
+        return ""
+    # Lines in between may be black in the right picture, too.
+    if black_lines.issuperset(range(first, len(is_black))):
+        return f"it is black from {noun} {first} on"
+    if black_lines.issuperset(range(first, last + 1)):
+        return f"{noun}s {first} to {last} are black"
+    if {*np.diff(wrong_lines).tolist()} == {2}:
+        return f"every second {noun} is black, from {noun} {first} on"
+    return ""
+
+
+def _describe_black_tiles(is_black: Shaped[Bools, "h w"], is_wrong: Shaped[Bools, "h w"]) -> str:
+    """Describe the largest tiles that are black and contain all wrong pixels."""
+    height, width = is_black.shape
+    for side in _TILE_SIDES:
+        corners = product(range(0, height, side), range(0, width, side))
+        tiles = [np.s_[row : row + side, column : column + side] for row, column in corners]
+        wrong_tiles = [tile for tile in tiles if is_wrong[tile].any()]
+        if all(is_black[tile].all() for tile in wrong_tiles):
+            noun, verb = ("tile", "is") if len(wrong_tiles) == 1 else ("tiles", "are")
+            return f"{len(wrong_tiles)} {noun} of {side} x {side} pixels {verb} black"
+    return ""
+
+
+def is_smoothed(
+    submitted_codes: Shaped[Codes, "h w 3"], reference_codes: Shaped[Codes, "h w 3"]
+) -> bool:
+    """Test whether a picture is the reference picture, antialiased or blurred.
+
+    All codes then lie between those of the neighbouring pixels, within one level, and many lie
+    strictly between them.
+    """
+    neighbours = np.pad(reference_codes.astype(np.int16), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(neighbours, (3, 3), axis=(0, 1))
+    low, high = windows.min(axis=(-1, -2)), windows.max(axis=(-1, -2))
+    is_between = (submitted_codes >= low - 1) & (submitted_codes <= high + 1)
+    is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
+    is_strictly_between = ((submitted_codes > low + 1) & (submitted_codes < high - 1)).any(axis=2)
+    return bool(
+        is_wrong.any()
+        and is_between.all(axis=2).mean() >= 1 - _MAX_WRONG_SHARE
+        and is_strictly_between[is_wrong].mean() >= _MIN_SAME_SHARE
+    )
+
+
+def has_palette(
+    submitted_codes: Shaped[Codes, "h w 3"], reference_codes: Shaped[Codes, "h w 3"]
+) -> bool:
+    """Test whether a picture is the reference picture, reduced to few colours."""
+    color_counts = [
+        len(np.unique(codes.reshape(-1, 3), axis=0)) for codes in (submitted_codes, reference_codes)
+    ]
+    levels = compare_levels(submitted_codes, reference_codes, axis=2)
+    return bool(
+        color_counts[0] <= _PALETTE_SIZE
+        and color_counts[1] >= 2 * color_counts[0]
+        and (levels <= _MAX_PALETTE_LEVELS).mean() >= 1 - _MAX_WRONG_SHARE
+    )
 
 
 def find_wrong_edge(is_wrong: Shaped[Bools, "h w"]) -> str:
@@ -243,9 +347,17 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
     if is_speckled(submission):
         sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
         return "shadow-speckles", sentence
-    if is_jpeg_of_reference(*(to_picture(codes, width) for codes in both_codes)):
+    pictures = [to_picture(codes, width) for codes in both_codes]
+    is_wrong = (compare_levels(*both_codes) > 1).reshape(-1, width)
+    if part := find_unrendered_part(pictures[0], is_wrong):
+        return "unrendered", f"It is the right picture, except that {part}."
+    if is_smoothed(pictures[0], pictures[1]):
+        return "smoothed", "It is the right picture with smooth edges: antialiased or blurred."
+    if has_palette(pictures[0], pictures[1]):
+        return "palette", "It is the right picture in few colours, as from a palette."
+    if is_jpeg_of_reference(pictures[0], pictures[1]):
         return "format", "It is the right picture after JPEG compression, which changes levels."
-    if edge := find_wrong_edge((compare_levels(*both_codes) > 1).reshape(-1, width)):
+    if edge := find_wrong_edge(is_wrong):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 

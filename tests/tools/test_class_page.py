@@ -1,6 +1,7 @@
 """Pages that a teacher hands out, and the class list."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -39,3 +40,13 @@ def test_an_impossible_ssim_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     with pytest.raises(SystemExit):
         main([str(picture), str(SCENE), "--ssim", "2"])
     assert "argument --ssim: must be from 0 to 1, not 2" in capsys.readouterr().err
+
+
+def test_the_picture_of_another_scene_is_recognised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("one-sphere", "two-boxes"):
+        shutil.copy(SCENES / f"{name}.xml", tmp_path)
+    save(tmp_path / "class" / "ada" / "two-boxes.png", CODES)
+    assert main([str(tmp_path / "class"), str(tmp_path)]) == 1
+    assert "It is the picture of one-sphere.xml." in capsys.readouterr().out

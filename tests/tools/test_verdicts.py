@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import student
+from PIL import Image
 from test_handins import scene
 
 from reference.handins.diagnosis import Diagnosis, Reference
-from reference.pictures import Picture
+from reference.pictures import Codes, Picture
+from tracer import render, to_codes
 
 
 def diagnose_changed(name: str, *changes: tuple[str, str]) -> Diagnosis:
@@ -74,3 +77,91 @@ def test_highlights_without_a_test_of_nl() -> None:
     changes = ("np.where(nl > 0, KS * shine, 0)", "KS * shine"), ("if m != k", "if False")
     diagnosis = diagnose_changed("four-spheres", *changes, ("EXPONENT", "1"))
     assert diagnosis.kind == "shadow-none+exponent-1"
+
+
+FITTED = [
+    ("four-spheres", "EXPONENT", "23", "The exponent is about 23 for all."),
+    (
+        "four-spheres",
+        "color = np.zeros(p.shape)",
+        "color = 0.07 + 0 * p",
+        "An ambient term of about 0.0",
+    ),
+    (
+        "two-boxes",
+        "color += see *",
+        "color += np.where(see, 1, 0.3) *",
+        "have about 0.3 of the light",
+    ),
+    ("two-boxes", "** (1 / 2.2)", "** 1 / 2.2", "and levels are multiplied by about 0.45"),
+]
+
+
+@pytest.mark.parametrize(("name", "old", "new", "text"), FITTED)
+def test_numbers_are_estimated(name: str, old: str, new: str, text: str) -> None:
+    assert text in str(diagnose_changed(name, (old, new)))
+
+
+FREQUENT = [
+    (
+        "two-boxes",
+        "normals[distance.argmin(-1)]",
+        "np.eye(3)[abs(p - (lo + hi) / 2).argmax(-1)]",
+        "normal-cube-box",
+    ),
+    (
+        "two-boxes",
+        "ray, sh = d[mine], s.shader",
+        "ray, sh = d[mine], surfaces[k - 1].shader",
+        "shader-previous",
+    ),
+    (
+        "four-spheres",
+        "list(scene.lights)",
+        "[*scene.lights][:1] * len(scene.lights)",
+        "light-first-all",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "old", "new", "kind"), FREQUENT)
+def test_frequent_mistakes_are_known(name: str, old: str, new: str, kind: str) -> None:
+    assert kind in diagnose_changed(name, (old, new)).kind.split("|")
+
+
+def blacken_tiles(codes: Codes) -> Codes:
+    codes[16:32, 32:48] = codes[32:48, 48:64] = 0
+    return codes
+
+
+# For each kind: how a right picture is changed, and what the grader says.
+SYMPTOMS = {
+    "unrendered": (
+        lambda a: np.vstack([a[:41], 0 * a[41:]]),
+        "except that it is black from row 41 on.",
+    ),
+    "tiles": (blacken_tiles, "except that 2 tiles of 16 x 16 pixels are black."),
+    "scaled": (
+        lambda a: np.asarray(Image.fromarray(a).resize((90, 60))),
+        "It is the right picture, scaled.",
+    ),
+    "palette": (
+        lambda a: np.asarray(Image.fromarray(a).quantize(200).convert("RGB")),
+        "in few colours",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SYMPTOMS)
+def test_symptoms_are_told(kind: str) -> None:
+    change, text = SYMPTOMS[kind]
+    small = replace(scene("room"), width=120, height=80)
+    reference = Reference(small, "room.xml")
+    diagnosis = reference.diagnose(Picture(change(reference.codes.copy())))
+    assert text in str(diagnosis)
+
+
+def test_antialiased_pictures_are_told() -> None:
+    small = replace(scene("room"), width=120, height=80)
+    codes = to_codes(render(small, samples=64))
+    assert Reference(small).diagnose(Picture(codes)).kind == "smoothed"
