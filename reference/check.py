@@ -245,7 +245,8 @@ def check_diffuse_light(scene: Scene, name: str, variant: str | None = None) -> 
         for surface in scene.surfaces
     )
     diffuse_scene = replace(make_pixels_square(scene), surfaces=surfaces)
-    image, start_time = np.zeros((diffuse_scene.height, diffuse_scene.width, 3)), perf_counter()
+    image = np.zeros((diffuse_scene.height, diffuse_scene.width, 3))
+    start_time = perf_counter()
     for light in diffuse_scene.lights:
         image += _render_diffuse_light(replace(diffuse_scene, lights=(light,)), variant)
     rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start_time)

@@ -39,8 +39,13 @@ from reference.measured.workloads import copy_with_picture_size, crowd
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
-_TRACER, _CERTIFIED_TRACER, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
-_GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
+# Names of the methods in the table.
+_TRACER = "this tracer"
+_CERTIFIED_TRACER = "this tracer, certified"
+_POVRAY = "POV-Ray adaptive"
+_GRID = "uniform grid"
+_ALL_PAIRS = "float32, all pairs"
+_MITSUBA = "Mitsuba multijitter"
 
 # What the legend says about each method, in the order of the curves' styles.
 _LABELS = {
@@ -179,7 +184,8 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
         tasks = _make_rendering_tasks(scene, level) | _make_povray_tasks(scene, level)
         tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
         for (method, factor), timing in time_alternately(tasks, _MIN_ROUNDS).items():
-            result, samples = tasks[method, factor](), str(factor * 4**level)
+            result = tasks[method, factor]()
+            samples = str(factor * 4**level)
             if method == _POVRAY:
                 result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
                 samples = _POVRAY_SCHEDULES[factor][level]

@@ -46,7 +46,7 @@ def _build_scene(
     eye: Shaped[Vector, "3"],
     view_dir: Shaped[Vector, "3"],
     light: Shaped[Vector, "3"],
-    *spheres: Sphere,
+    spheres: Sequence[Sphere],
     window: Vector,
     pixels: int = 24,
 ) -> Scene:
@@ -68,9 +68,15 @@ def build_distant_sphere_scene(distance: float, width: float = 1, height: float 
     The camera's window is at this distance, too, and has 24 pixels per unit of length.  The default
     window shows neither the silhouette nor a shadow.
     """
-    direction, window = np.array([2, -3, 6]) / 7, (distance, width, height)
-    eye, light, pixels = distance * direction, (2, 0, 6), round(24 * width)
-    return _build_scene(eye, -direction, light, Sphere(), window=window, pixels=pixels)
+    direction = np.array([2, -3, 6]) / 7
+    return _build_scene(
+        eye=distance * direction,
+        view_dir=-direction,
+        light=(2, 0, 6),
+        spheres=[Sphere()],
+        window=(distance, width, height),
+        pixels=round(24 * width),
+    )
 
 
 def build_silhouette_scene(distance: float) -> Scene:
@@ -79,8 +85,14 @@ def build_silhouette_scene(distance: float) -> Scene:
     The eye is at the given distance from the silhouette.  The picture shows a strip, 2**-20 wide,
     on each side of it.  The camera rays are exact in float64.
     """
-    eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
-    return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
+    return _build_scene(
+        eye=(1, 0, distance),
+        view_dir=(0, 0, -1),
+        light=(8, 0, 2),
+        spheres=[Sphere()],
+        window=(distance, 2.0**-19, 2.0**-19),
+        pixels=64,
+    )
 
 
 def build_moved_sphere_scene(offset_factor: float) -> Scene:
@@ -91,21 +103,33 @@ def build_moved_sphere_scene(offset_factor: float) -> Scene:
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset_factor * np.array([1, -0.7, 0.4])
-    return _build_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
+    spheres = [Sphere(center=center)]
+    return _build_scene(eye, (-1, 0, -4), light, spheres, window=(4, 1, 1))
 
 
 def build_ground_scene(radius: float) -> Scene:
     """Build a scene whose ground is a sphere of a given radius.  The eye is at a height of 1."""
-    sphere = Sphere(center=(0, -radius, 0), radius=radius)
-    return _build_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
+    return _build_scene(
+        eye=(0, 1, 0),
+        view_dir=(3, -4, 0),
+        light=(2, 3, 1),
+        spheres=[Sphere(center=(0, -radius, 0), radius=radius)],
+        window=(1, 0.5, 0.5),
+    )
 
 
 def build_highlight_scene(exponent: float) -> Scene:
     """Build a scene with a highlight that fills the picture, whatever the Phong exponent."""
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     window_side = 3 / max(exponent, 36.0) ** 0.5
-    eye, light, window = (3, 0, 4), (-3, 0, 4), (18**0.5, window_side, window_side)
-    return _build_scene(eye, (-1, 0, -1), light, Sphere(shader=shader), window=window, pixels=16)
+    return _build_scene(
+        eye=(3, 0, 4),
+        view_dir=(-1, 0, -1),
+        light=(-3, 0, 4),
+        spheres=[Sphere(shader=shader)],
+        window=(18**0.5, window_side, window_side),
+        pixels=16,
+    )
 
 
 def build_ball_scene(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
@@ -118,7 +142,7 @@ def build_ball_scene(scale: float = 1, offset: float = 0, radius: float = 128) -
     eye, light, ground, ball = scale * np.array(positions) + offset
     spheres = Sphere(center=ground, radius=scale * radius), Sphere(center=ball, radius=scale * 0.5)
     window = (2 * scale, 2 * scale, 1.125 * scale)
-    return _build_scene(eye, (0, 0, -1), light, *spheres, window=window, pixels=128)
+    return _build_scene(eye, (0, 0, -1), light, spheres, window=window, pixels=128)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")

@@ -74,7 +74,9 @@ class CellAnalysis:
 
         The cells of the caller are not changed.
         """
-        self.faces, self.cells, frame = faces, cells, faces.frame
+        self.faces = faces
+        self.cells = cells
+        frame = faces.frame
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
         self._half_cell_size = cells.width / 2 * pixel_size
         # The components are right, down, and ahead; the coefficients are those of 1, X and Y.
@@ -122,7 +124,7 @@ class CellAnalysis:
         smooth_part = self.dot_with_rays(np.array(normal), self.cells.cell_index[pair_index])
         smooth_part += self._linear_term[pair_index] * b
         smooth_part.widen(ROUNDING * b_abs_sum * self._max_inverse_distance[pair_index])
-        return RayFunctions(pair_index, smooth_part, b)
+        return RayFunctions(pair_index=pair_index, smooth_part=smooth_part, root_factor=b)
 
     def enclose_functions(self, functions: RayFunctions) -> Enclosures:
         """Enclose functions (8, n) of the camera ray, each in the cell of its pair."""
@@ -161,9 +163,10 @@ class CellAnalysis:
             low, high = enclosures.find_bounds()
             is_false[claim_index[high <= 0]] = True
             is_true[claim_index[~(low > 0)]] = False
-            # Indices of functions that may have both signs.
-            index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & has_edge)
+            may_have_both_signs = ~(low >= 0) & ~(high <= 0)
+            index = np.flatnonzero(may_have_both_signs & has_edge)
             possible_edges.append((claim_index[index], functions.take(index), enclosures[index]))
+        # Only now it is known which claims are false.
         for claim_index, functions, enclosures in possible_edges:
             index = np.flatnonzero(~is_false[claim_index])
             edges = EdgeFunctions(
@@ -266,15 +269,19 @@ class CellAnalysis:
         pair_index = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.face_index[pair_index]]
-            yield Condition(pair_index, self._express_half_space(pair_index, half_space))
+            functions = self._express_half_space(pair_index, half_space)
+            yield Condition(claim_index=pair_index, functions=functions)
         pair_index = np.flatnonzero(~cells.covers_cell & ~is_planar)
         # If the eye is inside a sphere, all rays hit the sphere.
         pair_index = pair_index[faces.eye_power[cells.face_index[pair_index]] > 0]
-        center, zeros = faces.center[:, cells.face_index[pair_index]], np.zeros(pair_index.size)
+        center = faces.center[:, cells.face_index[pair_index]]
         projection = self.dot_with_rays(center, cells.cell_index[pair_index])
+        no_root = np.zeros(pair_index.size)
+        is_ahead = RayFunctions(pair_index=pair_index, smooth_part=projection, root_factor=no_root)
         # The zero of this function is no edge: there, the ray's line misses the sphere.
-        yield Condition(pair_index, RayFunctions(pair_index, projection, zeros), has_edge=False)
-        yield Condition(pair_index, RayFunctions(pair_index, discriminants[pair_index], zeros))
+        yield Condition(claim_index=pair_index, functions=is_ahead, has_edge=False)
+        meets_sphere = is_ahead._replace(smooth_part=discriminants[pair_index])
+        yield Condition(claim_index=pair_index, functions=meets_sphere)
 
     def _find_hidden_pairs(self, covers_cell: Shaped[Bools, "pairs"]) -> Shaped[Bools, "pairs"]:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
@@ -317,14 +324,15 @@ class CellAnalysis:
         """Find terminators on spheres, and settle the lights that leave a sphere in a cell dark.
 
         A terminator is the curve between the lit and the dark side of a sphere.  If only a part of
-        the sphere may be dark, it becomes a possible edge.
+        the sphere may be dark, the terminator becomes a possible edge.
         """
         # Lights behind a side of a box are settled from the start.
         is_sphere = ~self.faces.is_planar[self.cells.face_index]
         pair_index, light_index = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
         is_unlit = np.zeros(pair_index.size, np.bool_)
         heights = self.express_light_height(pair_index, light_index)
-        self._decide_claims(light_index, is_unlit, [Condition(np.arange(is_unlit.size), heights)])
+        condition = Condition(claim_index=np.arange(is_unlit.size), functions=heights)
+        self._decide_claims(light_index, is_unlit, [condition])
         self.cells.is_settled[pair_index[is_unlit], light_index[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Shaped[Floats, "3 pairs"], Shaped[Floats, "3 pairs"]]:
@@ -411,14 +419,15 @@ class CellAnalysis:
         s2 = self.root_term_squared[pair_index]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.widen(16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs)
-        yield Condition(triple_index, RayFunctions(pair_index, u, Enclosures(v)))
+        is_in_cone = RayFunctions(pair_index=pair_index, smooth_part=u, root_factor=Enclosures(v))
+        yield Condition(claim_index=triple_index, functions=is_in_cone)
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
         products = to_center * center
         b = radius2 - products.sum(axis=0)
         b_abs_sum = radius2 + np.abs(products).sum(axis=0)
         plane_functions = self._express_half_space(pair_index, np.array([*to_center, b, b_abs_sum]))
-        yield Condition(triple_index, plane_functions, has_edge=False)
+        yield Condition(claim_index=triple_index, functions=plane_functions, has_edge=False)
 
     def _make_box_shadow_conditions(
         self, casts_no_shadow: Shaped[Bools, "triples"]
@@ -440,7 +449,11 @@ class CellAnalysis:
             has_plane = half_space[:4].any(axis=0)
             index = index[has_plane]
             functions = self._express_half_space(pair_index[index], half_space[:, has_plane])
-            yield Condition(index, functions, has_edge[light_index[index], box_index[index]])
+            yield Condition(
+                claim_index=index,
+                functions=functions,
+                has_edge=has_edge[light_index[index], box_index[index]],
+            )
 
     def _find_intersections(self) -> None:
         """Find possible edges where two faces intersect in a cell.
@@ -467,7 +480,7 @@ class CellAnalysis:
         is_sphere = ~faces.is_planar[face_indices[1]]
         plane[:, is_sphere] += equation[:, is_sphere] * [[-1], [-1], [-1], [-1], [1]]
         functions = self._express_half_space(pair_index, plane)
-        condition = Condition(np.arange(pair_index.size), functions)
+        condition = Condition(claim_index=np.arange(pair_index.size), functions=functions)
         self._decide_claims(-1, np.zeros(pair_index.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> EdgeFunctions:

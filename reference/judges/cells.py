@@ -132,7 +132,8 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     are settled for the faces that they certainly do not reach.  There are no triples yet.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
-    row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
+    row_count = int(np.ceil(height / cell_width))
+    column_count = int(np.ceil(width / cell_width))
     y, x = (np.indices((row_count, column_count)).reshape(2, -1) + 0.5) * cell_width
     visible_face_index = np.flatnonzero(faces.may_be_visible)
     face_index = np.tile(visible_face_index, x.size)

@@ -78,7 +78,8 @@ def intersect_by_projection(
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).
     """
     to_center = center - origin
-    squared_length, projection = _dot(direction, direction), _dot(to_center, direction)
+    squared_length = _dot(direction, direction)
+    projection = _dot(to_center, direction)
     perpendicular = to_center - projection / squared_length * direction
     half_chord = np.sqrt(squared_length * (radius * radius - _dot(perpendicular, perpendicular)))
     # Nothing cancels in this sum (Press et al., Numerical Recipes, 5.6).
@@ -337,7 +338,8 @@ class _PlainTracer:
             light_position = self.light_positions[light_index]
             is_hit_lit = self.test_light(own_index, points, normals, light_position)
             is_lit[light_index, ray_index] = is_hit_lit
-            to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
+            to_light = _normalise(light_position - points)
+            to_eye = -_normalise(direction)
             for surface_index in np.unique(own_index[is_hit_lit]).tolist():
                 hit_index = np.flatnonzero(is_hit_lit & (own_index == surface_index))
                 unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))

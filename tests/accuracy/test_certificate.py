@@ -36,12 +36,19 @@ Patch = pytest.MonkeyPatch
 
 
 class EnclosureSampler:
-    """A comparison of all enclosures of radiance with samples at random points of each cell."""
+    """A comparison of all enclosures of radiance with samples at random points of each cell.
+
+    The bound on a sample's error is the sum of the enclosure's maximum deviation, the region's
+    sample error, and the jumps of all strips that contain the point.
+    """
 
     # Maximum of a sample's error minus the bound on it.  The bound is the sum of the enclosure's
     # maximum deviation, the region's sample error, and the jumps of all strips that contain the
     # point.
     max_excess: float
+    sample_count: int
+
+    max_excess: float  # maximum of a sample's error minus the bound on it
     sample_count: int
 
     def __init__(self, monkeypatch: Patch) -> None:

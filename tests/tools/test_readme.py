@@ -38,8 +38,7 @@ def test_the_readme_is_one_page_with_two_commands():
 def stored_speedups(title: str) -> list[str]:
     """Return the speedups over stock Mitsuba from one table of the stored benchmark.
 
-    The title is that of a section in `reference/benchmark.md`.  The factors are as they are
-    written, from the smallest to the largest.
+    They are as they are written, from the smallest to the largest.
     """
     page = (ROOT / "reference/benchmark.md").read_text(encoding="utf-8")
     table = page.partition(f"## {title}\n")[2].partition("## ")[0]
