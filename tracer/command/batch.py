@@ -95,6 +95,7 @@ class Settings(NamedTuple):
     size: tuple[int, ...] | None
     file_format: str  # a key of `FORMATS`
     quiet: bool  # whether to print only errors
+    crop: tuple[int, int, int, int] | None = None  # the part of the pictures: see `render`
 
 
 class Job(NamedTuple):
@@ -224,12 +225,12 @@ class Batch:
 
     def _track(self, render_job: RenderJob, tiles: Iterator[EncodedTile]) -> Iterator[EncodedTile]:
         """Yield tiles of a picture; after each, show the progress, and keep the workers busy."""
-        frame, pixel_count = render_job.prepared_scene.frame, 0
+        all_pixels, pixel_count = render_job.width * render_job.height, 0
         self._distribution.submit_items()
         for tile in tiles:
             yield tile
             pixel_count += tile.exposure.pixel_count
-            self._show_progress(pixel_count / (frame.width * frame.height), pixel_count)
+            self._show_progress(pixel_count / all_pixels, pixel_count)
             self._distribution.submit_items()
 
     def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
@@ -273,7 +274,7 @@ def _make_render_job(job: Job, settings: Settings) -> RenderJob:
     with errors_as_failure(
         job.scene_path, "rendered", memory_remedy=_SHRINK, error_types=(ValueError,)
     ):
-        return RenderJob(scene, settings.samples)
+        return RenderJob(scene, settings.samples, crop=settings.crop)
 
 
 def _write_picture(
@@ -284,7 +285,7 @@ def _write_picture(
     start_time: float,  # of `perf_counter`
 ) -> Report:
     """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
-    exposure, scene = Exposure(), render_job.scene
+    exposure = Exposure()
     file_format = FORMATS[settings.file_format]
 
     def list_data() -> Iterator[Any]:
@@ -300,12 +301,13 @@ def _write_picture(
         if job.output_path == "-"
         else open_atomically(job.output_path, file_format.magic) as file,
     ):
-        file_format.write(file, scene.width, scene.height, list_data())
+        file_format.write(file, render_job.width, render_job.height, list_data())
     if settings.quiet:
         return Report(exposure.pixel_count)
     seconds = perf_counter() - start_time
-    line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-    warnings = lint_scene(scene, render_job.prepared_scene, exposure)
+    line = f"{job.output_path}: {render_job.width} x {render_job.height} pixels in {seconds:.3f} s"
+    whole_exposure = exposure if render_job.is_whole else None
+    warnings = lint_scene(render_job.scene, render_job.prepared_scene, whole_exposure)
     warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
     return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
 

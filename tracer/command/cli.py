@@ -57,6 +57,8 @@ _HELP = {
     "samples": "smooth edges as accurately as N samples per pixel would; 4 to 16 are enough for"
     " most pictures (default: 1, the pixel's centre)",
     "size": "width and height of the pictures in pixels; without xH, in the file's proportions",
+    "crop": "render only a part of the pictures: the column and the row of its top left pixel, its"
+    " width and its height",
     "watch": "render again whenever a scene file is saved",
     "processes": "maximum number of processes that render (default: one for each processor)",
     "pixel": "explain a pixel, by its column and row (0,0 is the top left), and write no picture",
@@ -103,7 +105,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if file_format == "exr":
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
     make_output_folder(arguments.output)
-    settings = Settings(arguments.samples, arguments.size, file_format, arguments.quiet)
+    settings = Settings(
+        samples=arguments.samples,
+        size=arguments.size,
+        crop=arguments.crop,
+        file_format=file_format,
+        quiet=arguments.quiet,
+    )
     process_count = min(arguments.processes or count_processors(), count_processors())
     with closing(Batch(settings, process_count)) as batch:
         if arguments.watch:
@@ -120,6 +128,10 @@ def _make_parser() -> CommandParser:
     parse_pixel = _make_int_parser(
         "([0-9]{1,9}),([0-9]{1,9})", "a column and a row (for example 160,90)"
     )
+    parse_crop = _make_int_parser(
+        "([0-9]{1,9}),([0-9]{1,9}),([1-9][0-9]{0,8}),([1-9][0-9]{0,8})",
+        "a column, a row, a width and a height in pixels (for example 160,90,64,36)",
+    )
     add_argument("scenes", nargs="+", type=check_path, metavar="SCENE.xml", help=_HELP["scenes"])
     add_argument("-o", "--output", type=check_path, metavar="PATH", help=_HELP["output"])
     add_argument("--format", choices=FORMATS, help=_HELP["format"])
@@ -127,6 +139,7 @@ def _make_parser() -> CommandParser:
         "--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"]
     )
     add_argument("--size", type=parse_size, metavar="W[xH]", help=_HELP["size"])
+    add_argument("--crop", type=parse_crop, metavar="X,Y,W,H", help=_HELP["crop"])
     add_argument("--watch", action="store_true", help=_HELP["watch"])
     add_argument("--processes", type=parse_positive_int, metavar="N", help=_HELP["processes"])
     add_argument("--pixel", type=parse_pixel, metavar="X,Y", help=_HELP["pixel"])
@@ -222,8 +235,9 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
     If this fails for a scene, an error is printed, the other scenes are still explained, and the
     exit status that is returned is 1.
     """
-    if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
-        parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
+    picture_options = arguments.output, arguments.format, arguments.crop, arguments.watch
+    if any(picture_options) or arguments.samples > 1:
+        parser.error("--pixel cannot be combined with -o, --format, --samples, --crop or --watch")
     from tracer.picture.explanation import explain  # only now, because rendering does not need it
 
     def print_explanation(path: str) -> None:

@@ -71,7 +71,9 @@ class Exposure(NamedTuple):
         )
 
 
-def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
+def lint_scene(
+    scene: Scene, prepared_scene: PreparedScene, exposure: Exposure | None
+) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
     A warning is one line: what looks wrong, where, and a suggested fix.  Of several equal mistakes,
@@ -82,7 +84,8 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
     prepared_scene
         The same scene, prepared for its camera.
     exposure
-        Counts in the whole picture.
+        Counts in the whole picture.  None if only a part of the picture is known: that it is black
+        or too bright says nothing about the scene.
     """
     range_warning = _check_color_ranges(scene)
     if range_warning:
@@ -91,6 +94,8 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
     yield from _check_aspect(scene)
     yield from _check_dark_lights(scene)
     yield from _check_enclosed_lights(scene, prepared_scene)
+    if exposure is None:
+        return
     if not exposure.lit_count:
         reason, remedy = _explain_black_picture(scene, prepared_scene)
         yield f"{reason}: the picture is black; {remedy}"

@@ -5,6 +5,9 @@ tile
     that its arrays stay in the CPU cache, and so large that the overhead of NumPy calls is
     negligible.  Its pixels depend only on the scene, the samples and the offset, so the picture is
     the same to the last bit, whichever process renders the tile.
+crop
+    A rectangle of the picture that is rendered instead of all of it.  Its tiles contain whole rows
+    of the crop, or a part of one.
 adaptive
     In an adaptive picture, edges are found first, and only pixels that edges cross are sampled more
     than once.  Otherwise all pixels have the same samples.
@@ -121,6 +124,9 @@ _MAX_CACHED_JOBS = 4
 Rectangle: TypeAlias = tuple[slice, slice]
 """Rows and columns of a picture."""
 
+Crop: TypeAlias = tuple[SupportsIndex, SupportsIndex, SupportsIndex, SupportsIndex]
+"""A part of a picture: the column and the row of its top left pixel, its width and its height."""
+
 
 def render(
     scene: Scene,
@@ -128,6 +134,7 @@ def render(
     *,
     executor: Executor | None = None,
     offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
+    crop: Crop | None = None,
     threads: SupportsIndex | None = None,
 ) -> Floats:
     """Render a scene to an array of linear radiance.
@@ -146,6 +153,9 @@ def render(
         calling process renders the whole picture.
     offset : (float, float)
         Distances to the right and down, in pixels, by which every sample is shifted.
+    crop : (int, int, int, int), optional
+        The part of the picture to render: the column and the row of its top left pixel, its width
+        and its height.  Every pixel is the same, to the last bit, as in the whole picture.
     threads : int, optional
         Number of threads that render the picture where Python has no global lock (free-threaded
         Python); elsewhere, and with an executor, it is 1.  By default, there is one thread for each
@@ -156,23 +166,23 @@ def render(
     Returns
     -------
     image : (height, width, 3) float64
-        Linear RGB radiance of each pixel.  Row 0 is the top row of the picture.
+        Linear RGB radiance of each pixel of the picture or its part.  Row 0 is at the top.
 
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, `samples` or `threads` is not an integer, or `executor` is not an
-        executor.
+        If `scene` is not a Scene, `samples` or `threads` is not an integer, `crop` is not four
+        integers, or `executor` is not an executor.
     ValueError
-        If `samples` is less than 1 or more than 999,999,999, `threads` is less than 1, or `offset`
-        is not two finite numbers.
+        If `samples` is less than 1 or more than 999,999,999, `threads` is less than 1, `offset` is
+        not two finite numbers, or `crop` has no pixel or is not inside the picture.
 
     Warns
     -----
     SceneWarning
         If the picture is black, more than half of its lit pixels are brighter than 1, a light or a
         shader has no effect, a colour seems to be given as 0 to 255 instead of 0 to 1, or pixels
-        are far from square.
+        are far from square.  The brightness of a part of a picture is not judged.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
@@ -181,16 +191,20 @@ def render(
     if hasattr(executor, "get_executor"):
         message = "executor must be a concurrent.futures.Executor"
         raise TypeError(f"{message}: from a Dask client, client.get_executor()")
-    job = RenderJob(scene, samples, offset)
+    job = RenderJob(scene, samples, offset, crop)
     thread_count = job.choose_thread_count(threads)
     # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
-    image = np.zeros((scene.height, scene.width, 3))
+    image = np.zeros((job.height, job.width, 3))
+
+    def select(rectangle: Rectangle) -> Floats:
+        rows, columns = map(_to_inner_range, rectangle, job.rectangle)
+        return image[rows, columns]
 
     def render_into_image(rectangle: Rectangle) -> None:
-        job.render_tile(rectangle, out=image[rectangle])
+        job.render_tile(rectangle, out=select(rectangle))
 
     def fits_tile(rectangle: Rectangle, result: object) -> bool:
-        return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
+        return isinstance(result, np.ndarray) and result.shape == select(rectangle).shape
 
     with closing(Threads(thread_count - 1)) as pool:
         if executor is None:
@@ -210,14 +224,19 @@ def render(
         tiles = job.divide(sharing)
         for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
             if radiance is not None:  # from the executor
-                image[rectangle] = radiance
-    for warning in lint_scene(scene, job.prepared_scene, Exposure.from_radiance(image)):
+                select(rectangle)[:] = radiance
+    exposure = Exposure.from_radiance(image) if job.is_whole else None
+    for warning in lint_scene(scene, job.prepared_scene, exposure):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
 def to_png(
-    scene: Scene, samples: SupportsIndex = 1, *, threads: SupportsIndex | None = None
+    scene: Scene,
+    samples: SupportsIndex = 1,
+    *,
+    crop: Crop | None = None,
+    threads: SupportsIndex | None = None,
 ) -> bytes:
     """Render a scene to the bytes of a PNG file.
 
@@ -231,6 +250,8 @@ def to_png(
         The scene to render.
     samples : int
         Number of samples per pixel, as in `render`.
+    crop : (int, int, int, int), optional
+        The part of the picture to render, as in `render`.
     threads : int, optional
         Number of threads, as in `render`: in a worker, 1 by default.
 
@@ -242,11 +263,13 @@ def to_png(
     Raises
     ------
     TypeError
-        If `scene` is not a Scene, or `samples` or `threads` is not an integer.
+        If `scene` is not a Scene, `samples` or `threads` is not an integer, or `crop` is not four
+        integers.
     ValueError
-        If `samples` is less than 1 or more than 999,999,999, or `threads` is less than 1.
+        If `samples` is less than 1 or more than 999,999,999, `threads` is less than 1, or `crop`
+        has no pixel or is not inside the picture.
     """
-    write_png(file := io.BytesIO(), render(scene, samples, threads=threads))
+    write_png(file := io.BytesIO(), render(scene, samples, crop=crop, threads=threads))
     return file.getvalue()
 
 
@@ -292,17 +315,34 @@ def _compute_samples_per_side(samples: SupportsIndex) -> int:
     return isqrt(sample_count - 1) + 1
 
 
+def _to_rectangle(crop: Crop, scene: Scene) -> Rectangle:
+    """Convert a crop to rows and columns; raise TypeError or ValueError if it is not one."""
+    try:
+        left, top, width, height = map(operator.index, crop)
+    except (TypeError, ValueError):
+        raise TypeError(f"crop must be four ints: x, y, width, height, not {crop!r}") from None
+    if left < 0 or top < 0 or left + width > scene.width or top + height > scene.height:
+        extent = f"crop {left},{top},{width},{height} is not inside the picture"
+        raise ValueError(f"{extent} of {scene.width} x {scene.height} pixels")
+    if width < 1 or height < 1:
+        raise ValueError(f"crop must have a width and a height of at least 1, not {crop!r}")
+    return slice(top, top + height), slice(left, left + width)
+
+
 class RenderJob:
-    """A picture to render, which can be divided into tiles.
+    """A picture or a crop of it, to be rendered, which can be divided into tiles.
 
     Arguments, and the errors that they raise, are those of `render`.  A pickled job contains only
     its arguments.  The process that unpickles the job prepares the scene again, unless it has
     rendered the same job recently.
-
     """
 
     scene: Scene
     prepared_scene: PreparedScene
+    rectangle: Rectangle  # that is rendered
+    width: int  # of the rectangle, in pixels
+    height: int
+    is_whole: bool  # whether the rectangle is the whole picture
     seconds: float  # rough estimate of the time that one process needs for the picture
 
     @_IGNORE_FLOAT_ERRORS
@@ -311,9 +351,14 @@ class RenderJob:
         scene: Scene,
         samples: SupportsIndex = 1,
         offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
+        crop: Crop | None = None,
     ) -> None:
         self.scene = scene
-        self._arguments = scene, samples, offset
+        self._arguments = scene, samples, offset, crop
+        whole_picture = slice(0, scene.height), slice(0, scene.width)
+        self.rectangle = whole_picture if crop is None else _to_rectangle(crop, scene)
+        self.height, self.width = (each.stop - each.start for each in self.rectangle)
+        self.is_whole = self.rectangle == whole_picture
         self._samples_per_side = per_side = _compute_samples_per_side(samples)
         sample_shift = np.asarray(offset, dtype=np.float64)
         if sample_shift.shape != (2,) or not np.isfinite(sample_shift).all():
@@ -326,7 +371,7 @@ class RenderJob:
         self._lattice = Lattice.choose(per_side) if uses_lattice else PIXEL_CENTERS
         max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
         self._max_samples = self.prepared_scene.choose_batch_size(max_samples)
-        self.seconds = _FIXED_SECONDS + self._seconds_per_pixel * scene.width * scene.height
+        self.seconds = _FIXED_SECONDS + self._seconds_per_pixel * self.width * self.height
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
@@ -354,22 +399,22 @@ class RenderJob:
         return choose_thread_count(max_count) if self.seconds >= THREADS.min_seconds else 1
 
     def divide(self, sharing: Sharing | None) -> list[Rectangle]:
-        """Divide the picture into tiles, from top to bottom and from left to right.
+        """Divide the rectangle into tiles, from top to bottom and from left to right.
 
         Tiles that workers share may be smaller, so that each processor gets several.
         """
-        width, height = self.prepared_scene.frame.width, self.prepared_scene.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         max_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
         divisor = 1
         if sharing:
-            fair_share = width * height / (_TILES_PER_PROCESSOR * count_processors())
+            fair_share = self.width * self.height / (_TILES_PER_PROCESSOR * count_processors())
             min_pixels = sharing.min_tile_seconds * pixels_per_second
             max_pixels = min(max_pixels, max(min_pixels, fair_share))
             divisor = count_processors() if sharing.is_even else 1
-        row_ranges = _divide_range(height, max(1, int(max_pixels / width)), divisor)
-        return list(product(row_ranges, _divide_range(width, max(1, int(max_pixels)))))
+        rows, columns = self.rectangle
+        row_ranges = _divide_range(rows, max(1, int(max_pixels / self.width)), divisor)
+        return list(product(row_ranges, _divide_range(columns, max(1, int(max_pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make pickle store only the job's arguments, not the prepared scene."""
@@ -377,13 +422,13 @@ class RenderJob:
 
     @cached_property
     def pickled_arguments(self) -> bytes:
-        """The pickled arguments (scene, samples, offset), which identify the job in any process."""
+        """The pickled arguments, which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
     def encode_tile(self, rectangle: Rectangle, encode: Callable[..., Any]) -> EncodedTile:
         """Render and encode a tile."""
         radiance = self.render_tile(rectangle)
-        data = encode(radiance, is_leftmost=rectangle[1].start == 0)
+        data = encode(radiance, is_leftmost=rectangle[1].start == self.rectangle[1].start)
         return EncodedTile(data=data, exposure=Exposure.from_radiance(radiance))
 
     @_IGNORE_FLOAT_ERRORS
@@ -403,9 +448,9 @@ class RenderJob:
         visible_rows, visible_columns = map(_intersect_ranges, rectangle, scene.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
-        visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
+        visible_radiance = radiance[_to_inner_range(visible_rows, rows)]
         if self._is_adaptive:
-            visible_radiance[:, _to_tile_range(visible_columns, columns)] = average_pixels(
+            visible_radiance[:, _to_inner_range(visible_columns, columns)] = average_pixels(
                 scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
@@ -429,20 +474,21 @@ def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
     return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
 
 
-def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
-    """Convert a range of rows or columns of the picture to a range in the tile that contains it.
+def _to_inner_range(picture_range: slice, outer_range: slice) -> slice:
+    """Convert a range of rows or columns of the picture to a range in the one that contains it.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
     """
-    return slice(picture_range.start - tile_range.start, picture_range.stop - tile_range.start)
+    return slice(picture_range.start - outer_range.start, picture_range.stop - outer_range.start)
 
 
-def _divide_range(length: int, max_length: int, divisor: int = 1) -> list[slice]:
-    """Divide the range from 0 to `length` into as few slices of at most `max_length` as possible.
+def _divide_range(outer_range: slice, max_length: int, divisor: int = 1) -> list[slice]:
+    """Divide a range into as few slices of at most `max_length` as possible.
 
     If possible, their number is a multiple of `divisor`.  Their lengths differ by at most 1.
     """
+    start, length = outer_range.start, outer_range.stop - outer_range.start
     slice_count = -(-length // max_length)
     slice_count = min(length, slice_count + -slice_count % divisor)
-    bounds = [length * index // slice_count for index in range(slice_count + 1)]
+    bounds = [start + length * index // slice_count for index in range(slice_count + 1)]
     return [slice(start, stop) for start, stop in pairwise(bounds)]
