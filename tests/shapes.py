@@ -62,17 +62,18 @@ class ShapeError(AssertionError):
 
 class _Dimension(NamedTuple):
     may_be_one: bool
-    name: str
+    name: str  # "" if there is a formula
     increment: int
-    formula: CodeType | None  # in place of the name
+    formula: CodeType | None
 
 
 def _parse_dimension(text: str) -> _Dimension:
     formula = text.removeprefix("#")
     name, _, increment = formula.partition("+")
     is_name = name.isidentifier() and (increment.isdigit() or formula == name)
-    code = None if is_name else compile(formula, text, "eval")
-    return _Dimension(text[0] == "#", name, int(increment or 0) if is_name else 0, code)
+    if not is_name:
+        return _Dimension(text[0] == "#", "", 0, compile(formula, text, "eval"))
+    return _Dimension(text[0] == "#", name, int(increment or 0), None)
 
 
 def compile_shape(text: str) -> Callable[[tuple[int, ...], Sizes], bool]:
@@ -89,17 +90,20 @@ def compile_shape(text: str) -> Callable[[tuple[int, ...], Sizes], bool]:
             return False
         new_sizes: Sizes = {}
         for size, (may_be_one, name, increment, formula) in zip(shape, dimensions, strict=True):
+            if name in sizes and size == sizes[name] + increment:
+                continue
             if may_be_one and size == 1:
                 continue
             if formula is not None:
                 expected = eval(formula, {}, sizes | new_sizes)
             elif name in sizes:
-                expected = sizes[name] + increment
+                return False
             else:
                 expected = new_sizes.setdefault(name, size - increment) + increment
             if size != expected or size < increment:
                 return False
-        sizes.update(new_sizes)
+        if new_sizes:
+            sizes.update(new_sizes)
         return True
 
     return has_shape
@@ -213,14 +217,28 @@ def _compile_items(
     return test_items
 
 
+class _Fields(NamedTuple):
+    """What is checked of the objects of a class."""
+
+    sizes: list[str]  # names of the fields of type int
+    # Name, test, place for messages, and annotation of each field with a shape.
+    tests: list[tuple[str, Test, str, str]]
+
+
 @cache
-def compile_fields(owner: type) -> dict[str, Test | None]:
-    """Return the tests of the fields of a class and its bases; None for sizes, which are ints."""
-    if not any("Shaped" in str(inspect.get_annotations(base)) for base in owner.__mro__):
-        return {}
+def compile_fields(owner: type) -> _Fields:
+    """Find the sizes and compile the tests in the fields of a class and its bases."""
+    annotations = [inspect.get_annotations(base) for base in reversed(owner.__mro__)]
+    if "Shaped" not in str(annotations):
+        return _Fields([], [])
+    texts = {name: text for each in annotations for name, text in each.items()}
     hints = get_type_hints(owner, include_extras=True)
-    tests = {name: compile_hint(hint) for name, hint in hints.items()}
-    return {name: test for name, test in tests.items() if test or hints[name] is int}
+    tests = [
+        (name, test, f"{owner.__qualname__}.{name}", texts[name])
+        for name, hint in hints.items()
+        if (test := compile_hint(hint))
+    ]
+    return _Fields(sizes=[name for name, hint in hints.items() if hint is int], tests=tests)
 
 
 @cache
@@ -263,14 +281,10 @@ def check_fields(instance: object, owner: type, *, is_complete: bool = True) -> 
 
     Fields may be missing if the object is not complete: `__init__` may call methods.
     """
-    tests, sizes = compile_fields(owner), Sizes()
-    for name, test in tests.items():
-        if test is None and hasattr(instance, name):
-            sizes[name] = getattr(instance, name)
-    for name, test in tests.items():
-        if test and (is_complete or hasattr(instance, name)):
-            place = f"{owner.__qualname__}.{name}"
-            hint = next(h[name] for h in map(inspect.get_annotations, owner.__mro__) if name in h)
+    names, tests = compile_fields(owner)
+    sizes = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
+    for name, test, place, hint in tests:
+        if is_complete or hasattr(instance, name):
             check(getattr(instance, name), test, sizes, place, hint)
     return sizes
 
@@ -331,7 +345,7 @@ def wrap_class(owner: Any) -> None:
             setattr(owner, name, member.getter(wrap(member.fget, owner)))
         elif isinstance(member, cached_property):
             member.func = wrap(member.func, owner)
-    if not compile_fields(owner):
+    if not compile_fields(owner).tests:
         return
     is_tuple = issubclass(owner, tuple)
     create = owner.__new__ if is_tuple else owner.__init__
