@@ -17,8 +17,8 @@ may have another size in each item.  All other types are left to mypy.
 
 Not checked are functions and classes inside functions, lambdas, functions that a module stores in a
 table while it is imported, items of iterators that are arguments, arguments of callables, and all
-code in processes that are not forked.  An alias must not contain `Shaped`: annotations are searched
-for this word.
+code in processes that are not forked.  Functions and classes are checked if the word Shaped is in
+their annotations; the name of an alias that contains it is not enough.
 
 All data of a call are local to it, so several threads may call a function at the same time.
 """

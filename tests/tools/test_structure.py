@@ -175,3 +175,88 @@ def test_every_command_handles_signals_before_it_imports_the_rest(folder: str) -
             assert not any("__main__" in statement for statement in statements), name
         assert "signal.signal" not in "".join(statements), name
     assert command_count
+
+
+# Types of arrays, which have a shape.
+ARRAYS = {"Floats", "Ints", "Bools", "Sides", "Triple", "NDArray", "Points2D", "Codes"}
+
+# Functions and classes for users, who have only `help()`: shapes are in numpydoc.
+PUBLIC = {
+    "tracer.picture.png.to_codes",
+    "tracer.picture.render.render",
+    "tracer.trace.first_hits.FirstHits",
+}
+
+# Modules of which some arrays have no shape yet.
+WITHOUT_SHAPES = {
+    "reference.handins.diagnosis",
+    "reference.handins.drawing",
+    "reference.handins.search",
+    "reference.measured.workloads",
+    "reference.mechanisms",
+    "reference.pictures",
+    "tracer.antialias.edge_functions",
+    "tracer.antialias.regions",
+    "tracer.arrays",
+    "tracer.geometry.box",
+    "tracer.geometry.camera",
+    "tracer.geometry.silhouette",
+    "tracer.picture.png",
+    "tracer.scene.model",
+    "tracer.scene.schema",
+    "tracer.trace.hits",
+    "tracer.trace.occlusion",
+    "tracer.trace.radiance",
+}
+
+
+def find_arrays_without_shape(node: ast.AST) -> list[str]:
+    """Return the types of arrays in an annotation that are not in `Shaped[...]`.
+
+    Arguments of callables are not checked.
+    """
+    if isinstance(node, ast.Subscript) and ast.unparse(node.value) in ("Shaped", "Callable"):
+        return []
+    if isinstance(node, ast.Name) and node.id in ARRAYS:
+        return [node.id]
+    children = ast.iter_child_nodes(node)
+    return [name for child in children for name in find_arrays_without_shape(child)]
+
+
+def list_annotations(owner: ast.AST) -> list[ast.expr]:
+    """Return the annotations in the header of a function, or of the fields of a class."""
+    if isinstance(owner, ast.FunctionDef):
+        arguments = [each for each in ast.walk(owner.args) if isinstance(each, ast.arg)]
+        annotations = [*(each.annotation for each in arguments), owner.returns]
+        return [each for each in annotations if each]
+    if isinstance(owner, ast.ClassDef):
+        return [each.annotation for each in owner.body if isinstance(each, ast.AnnAssign)]
+    return []
+
+
+@pytest.mark.parametrize("folder", ["tracer", "converters", "reference"])
+def test_arrays_in_signatures_and_fields_have_shapes(folder: str) -> None:
+    places = {
+        f"{name}.{owner.name}"
+        for name, module in parse_folder(folder).items()
+        if name not in WITHOUT_SHAPES
+        for owner in ast.walk(module.tree)
+        if any(find_arrays_without_shape(each) for each in list_annotations(owner))
+    }
+    assert places <= PUBLIC
+
+
+def test_no_alias_hides_a_shape_from_the_checker() -> None:
+    modules = {name: m for folder in FOLDERS[:3] for name, m in parse_folder(folder).items()}
+    aliases = {
+        ast.unparse(node.target)
+        for module in modules.values()
+        for node in module.tree.body
+        if isinstance(node, ast.AnnAssign) and node.value and "Shaped[" in ast.unparse(node.value)
+    }
+    # The checker looks for the word Shaped in the annotations, and then resolves all of them.
+    for name, module in modules.items():
+        for owner in ast.walk(module.tree):
+            annotations = [ast.unparse(annotation) for annotation in list_annotations(owner)]
+            has_alias = not aliases.isdisjoint(annotations)
+            assert not has_alias or "Shaped[" in "".join(annotations), f"{name}: {annotations}"
