@@ -189,6 +189,7 @@ PUBLIC = {
 
 # Modules of which some arrays have no shape yet.
 WITHOUT_SHAPES = {
+    "reference.compare",
     "reference.handins.diagnosis",
     "reference.handins.drawing",
     "reference.handins.search",
@@ -202,11 +203,10 @@ WITHOUT_SHAPES = {
     "tracer.geometry.camera",
     "tracer.geometry.silhouette",
     "tracer.picture.png",
+    "tracer.picture.render",
     "tracer.scene.model",
     "tracer.scene.schema",
     "tracer.trace.hits",
-    "tracer.trace.occlusion",
-    "tracer.trace.radiance",
 }
 
 
