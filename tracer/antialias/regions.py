@@ -9,11 +9,11 @@ Each line is extended across the whole cell.  If the edge that it represents end
 then one region is divided into two, which does no harm.
 
 A point x + iy is relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
-cell's width; areas are fractions of the cell's area.  The lines c + a x + b y = 0 of all cells are
-sorted by cell, so that those of cell i have the indices line_start[i] to line_start[i + 1] - 1.
-A region has one index among the regions of all cells: bit k is 1 on the positive side of line k of
-its cell, and the bits from `max_lines` on are the index of the cell, where `max_lines` is the
-maximum number of lines in a cell.
+cell's width, and y pointing down, as in `Lines`; areas are fractions of the cell's area.  The lines
+of all cells are sorted by cell, so that those of cell i have the indices line_start[i] to
+line_start[i + 1] - 1.  A region has one index among the regions of all cells: bit k is 1 on the
+positive side of line k of its cell, and the bits from `max_lines` on are the index of the cell,
+where `max_lines` is the maximum number of lines in a cell, at most `MAX_LINES` of `classify`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class WeightedPoints(NamedTuple):
     cell_index: Shaped[Ints, "n"]
     position: Shaped[Points2D, "n"]
     # Weight in the mean over the cell.  The weights in a region add up to its area.  A few are
-    # negative.
+    # negative, where the centroid of the region is far from the mean of its points.
     weight: Shaped[Floats, "n"]
     region_index: Shaped[Ints, "n"]
 
@@ -123,8 +123,9 @@ def _divide_into_triangles(
         positive_count = is_positive.sum(axis=0)
         region_index[column_index[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
+        parent_index = column_index[split_index]
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
-        is_a_positive, parent_index = positive_count[split_index] == 1, column_index[split_index]
+        is_a_positive = positive_count[split_index] == 1
         lone_index = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
         corner_index = (lone_index + np.arange(3)[:, None]) % 3
         a, b, c = corners[corner_index, parent_index]
@@ -136,14 +137,58 @@ def _divide_into_triangles(
         corners[:, parent_index] = a, on_ab, on_ac
         corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent_region_index = region_index[parent_index]
-        region_index[parent_index] = parent_region_index | is_a_positive << line_number
-        new_region_index = parent_region_index | ~is_a_positive << line_number
+        region_index[parent_index] = parent_region_index | (is_a_positive << line_number)
+        new_region_index = parent_region_index | (~is_a_positive << line_number)
         region_index = np.concatenate([region_index, new_region_index, new_region_index])
         cell_index = np.concatenate([cell_index, *[cell_index[parent_index]] * 2])
     side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
     area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
     return WeightedPoints(cell_index, corners.sum(axis=0) / 3, area, region_index)
+
+
+def _sum_by_region(
+    region_index: Shaped[Ints, "n"], values: Shaped[Floats, "n"], region_count: int
+) -> Shaped[Floats, "region_count"]:
+    """Sum the values in each region."""
+    # Convert the result: NumPy returns integers if there are no values.
+    return np.bincount(region_index, values, region_count).astype(float, copy=False)
+
+
+class _PointMoments(NamedTuple):
+    """Statistics of the points in each region; the mean is (0, 0) if there are none."""
+
+    count: Shaped[Ints, "regions"]  # at least 1, also for regions without points
+    mean_x: Shaped[Floats, "regions"]
+    mean_y: Shaped[Floats, "regions"]
+    # The covariance matrix, and its determinant.
+    cov_xx: Shaped[Floats, "regions"]
+    cov_xy: Shaped[Floats, "regions"]
+    cov_yy: Shaped[Floats, "regions"]
+    determinant: Shaped[Floats, "regions"]
+
+
+def _compute_moments(
+    position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"], region_count: int
+) -> _PointMoments:
+    """Compute the mean and the covariance of the points in each region."""
+
+    def average(values: Floats) -> Floats:
+        return _sum_by_region(region_index, values, region_count) / count
+
+    count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
+    mean_x, mean_y = average(position.real), average(position.imag)
+    x, y = position.real - mean_x[region_index], position.imag - mean_y[region_index]
+    cov_xx, cov_xy, cov_yy = average(x * x), average(x * y), average(y * y)
+    return _PointMoments(
+        count=count,
+        mean_x=mean_x,
+        mean_y=mean_y,
+        cov_xx=cov_xx,
+        cov_xy=cov_xy,
+        cov_yy=cov_yy,
+        determinant=cov_xx * cov_yy - cov_xy * cov_xy,
+    )
 
 
 def _compute_weights(
@@ -157,32 +202,23 @@ def _compute_weights(
     The second result tells whether a region is represented: it contains at least three points, and
     they do not lie almost on a straight line.  Points in other regions have the weight 0.
     """
-
-    def sum_by_region(value_region_index: Ints, values: Floats) -> Floats:
-        """Return the sum of the values in each region, given the region index of each value."""
-        # Convert the result: NumPy returns integers if there are no values.
-        return np.bincount(value_region_index, values, region_count).astype(float, copy=False)
-
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # the number of points.  With the weights w (1 + t . (point - mean)), the weighted mean of the
     # points is mean + S t.  It is the region's centroid if t = S^-1 (centroid - mean).
-    point_count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
-    mean_x = sum_by_region(region_index, position.real) / point_count
-    mean_y = sum_by_region(region_index, position.imag) / point_count
-    x, y = position.real - mean_x[region_index], position.imag - mean_y[region_index]
-    sums = (sum_by_region(region_index, product) for product in (x * x, x * y, y * y))
-    cov_xx, cov_xy, cov_yy = (sum_of_products / point_count for sum_of_products in sums)
-    determinant = cov_xx * cov_yy - cov_xy * cov_xy
-    is_represented: Bools = determinant > _MIN_DETERMINANT
-    _, centroid, triangle_area, triangle_region_index = centroids
-    area = sum_by_region(triangle_region_index, triangle_area)
-    moment_x = sum_by_region(triangle_region_index, triangle_area * centroid.real)
-    moment_y = sum_by_region(triangle_region_index, triangle_area * centroid.imag)
+    moments = _compute_moments(position, region_index, region_count)
+    is_represented: Bools = moments.determinant > _MIN_DETERMINANT
+    weighted_x = centroids.weight * centroids.position.real
+    weighted_y = centroids.weight * centroids.position.imag
+    area = _sum_by_region(centroids.region_index, centroids.weight, region_count)
+    moment_x = _sum_by_region(centroids.region_index, weighted_x, region_count)
+    moment_y = _sum_by_region(centroids.region_index, weighted_y, region_count)
     # The vector from the mean to the region's centroid, scaled by the area.
-    scaled_offset_x, scaled_offset_y = moment_x - area * mean_x, moment_y - area * mean_y
-    divisor = np.where(is_represented, point_count * determinant, np.inf)
+    offset_x, offset_y = moment_x - area * moments.mean_x, moment_y - area * moments.mean_y
+    divisor = np.where(is_represented, moments.count * moments.determinant, np.inf)
     # The gradient of the weight: the vector w t.
-    gradient_x = (cov_yy * scaled_offset_x - cov_xy * scaled_offset_y) / divisor
-    gradient_y = (cov_xx * scaled_offset_y - cov_xy * scaled_offset_x) / divisor
-    weight = np.where(is_represented, area / point_count, 0)[region_index]
+    gradient_x = (moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor
+    gradient_y = (moments.cov_xx * offset_y - moments.cov_xy * offset_x) / divisor
+    weight = np.where(is_represented, area / moments.count, 0)[region_index]
+    x = position.real - moments.mean_x[region_index]
+    y = position.imag - moments.mean_y[region_index]
     return weight + gradient_x[region_index] * x + gradient_y[region_index] * y, is_represented
