@@ -43,36 +43,28 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Arrange hits in arrays with one element for each of n samples.
+        """Arrange hits, at most one for each sample, in the order of the samples.
 
-        Parameters
-        ----------
-        hits : Hits
-            At most one hit for each sample, in any order.
-
-        Returns
-        -------
-        first_hits : FirstHits
-            Surface, distance, normal and position of each sample's hit, in the order of the
-            samples.  If there is no hit, the surface is -1, the distance is infinite, and the
-            normal and the position are NaN.
+        If there is no hit, the surface is -1, the distance is infinite, and the normal and the
+        position are NaN.
         """
-        sample_count, frame, sample_index = hits.samples.size, hits.scene.frame, hits.sample_index
-        surface, distance = np.full(sample_count, -1), np.full(sample_count, np.inf)
+        sample_count, sample_index = hits.samples.size, hits.sample_index
+        surface = np.full(sample_count, -1)
+        distance = np.full(sample_count, np.inf)
         normal, point = np.full((2, sample_count, 3), np.nan)
         surface[sample_index] = hits.scene.surfaces.file_index[hits.hit_object]
         distance[sample_index] = hits.distance
         point[sample_index] = np.transpose(hits.get_points(slice(None)))
         for group in hits.groups:
             normal[group.sample_index] = np.transpose(
-                frame.rotate_to_scene(map_xyz(group.expand_to_hits, group.planes.normal))
+                hits.scene.frame.rotate_to_scene(map_xyz(group.expand_to_hits, group.planes.normal))
             )
             # Normals of planar faces are exact, unlike normals converted from camera axes.
             axis, sign = map(group.repeat_runs, (group.planes.face_axis, group.planes.normal_sign))
             planar = find(axis != NO_AXIS)
             normal[group.sample_index[planar]] = 0
             normal[group.sample_index[planar], axis[planar]] = sign[planar]
-        return cls(surface, distance, normal, point)
+        return cls(surface=surface, distance=distance, normal=normal, point=point)
 
 
 @np.errstate(all="ignore")
@@ -108,18 +100,29 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     if x is None or y is None:
         y, x = np.indices((scene.height, scene.width)) + 0.5
     position_x, position_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    shape, ray_count = position_x.shape, position_x.size
+    shape = position_x.shape
     if shape != position_y.shape:
         raise ValueError(f"x and y must have the same shape, not {shape} and {position_y.shape}")
     position_x, position_y = position_x.ravel(), position_y.ravel()
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
-    results = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
+    count = position_x.size
+    results = FirstHits(
+        surface=np.empty(count, dtype=np.intp),
+        distance=np.empty(count),
+        normal=np.empty((count, 3)),
+        point=np.empty((count, 3)),
+    )
     batch_size = prepared_scene.choose_batch_size(_RAYS_PER_BATCH)
-    for batch in split_indices(np.arange(ray_count), batch_size):
+    for batch in split_indices(np.arange(count), batch_size):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
-        for result, batch_result in zip(results, vars(batch_hits).values(), strict=True):
-            result[batch[order]] = batch_result
-    return FirstHits(*(result.reshape(shape + result.shape[1:]) for result in results))
+        for name, result in vars(results).items():
+            result[batch[order]] = getattr(batch_hits, name)
+    return FirstHits(
+        surface=results.surface.reshape(shape),
+        distance=results.distance.reshape(shape),
+        normal=results.normal.reshape(*shape, 3),
+        point=results.point.reshape(*shape, 3),
+    )

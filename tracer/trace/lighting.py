@@ -23,14 +23,26 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, find, map_xyz, scale, take
 from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_SQUARE, MIN_SUM_LENGTH2
+from tracer.geometry.shape import NO_AXIS
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
 
-# A highlight has the shape of the bell exp(-x^2).  The maximum change of x over a part of a surface
-# that one sample can represent; the x beyond which the bell is negligible; and the x at which it
-# underflows.  Tuned on the project's scenes: with half or twice the first number, or with 2 for the
-# second, errors of single pictures are up to 1.1 times as large.
-_MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
+# A highlight has the shape of the bell exp(-x^2).
+
+# Maximum change of x over a part of a surface that one sample can represent.  Tuned on the
+# project's scenes: with half or twice as much, errors of single pictures are up to 1.1 times as
+# large.
+_MAX_LOBE_STEP = 0.7
+
+# The x beyond which the bell is negligible.  Tuned on the project's scenes: with 2, errors of
+# single pictures are up to 1.1 times as large.
+_LOBE_CUTOFF = 3.0
+
+# The x at which the bell underflows.
+_LOBE_UNDERFLOW = 27.0
+
+# Number of different values of `Hits.face_axis`: an id encodes the object and the axis.
+_FACE_AXES = NO_AXIS + 1
 
 
 class ChannelRadiance(NamedTuple):
@@ -81,8 +93,10 @@ class LightGeometry(NamedTuple):
         if redo_index.size:
             light_direction = scale(take(to_light, redo_index), 1 / light_distance[redo_index])
             eye_direction = scale(take(from_eye, redo_index), -1 / eye_distance[redo_index])
-            unit_vectors = take(hits.normal, hit_index[redo_index]), light_direction, eye_direction
-            strength[redo_index] = _compute_accurate_highlight(*unit_vectors, exponent[redo_index])
+            normal = take(hits.normal, hit_index[redo_index])
+            strength[redo_index] = _compute_accurate_highlight(
+                normal, light_direction, eye_direction, exponent[redo_index]
+            )
         return strength
 
 
@@ -116,6 +130,8 @@ class Shading:
     lights that are visible from the hit; otherwise it is empty.
     """
 
+    visibility_ids: Ints
+
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
         self._is_glossy = hits.get_object_values(hits.scene.is_glossy)
@@ -123,9 +139,9 @@ class Shading:
         # the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
-        self.visibility_ids: Ints = (
-            4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
-        )
+        self.visibility_ids = np.zeros(0, dtype=np.intp)
+        if with_ids:
+            self.visibility_ids = _FACE_AXES * hits.hit_object + hits.face_axis
 
     def add(self, geometry: LightGeometry, is_lit: Shaped[Bools, "lights n"]) -> None:
         """Add the light that hits reflect from those lights that are visible from them."""
@@ -136,8 +152,9 @@ class Shading:
                 self.visibility_ids = self.visibility_ids * 3 + is_hit_lit
             if not is_hit_lit.any():
                 continue
-            cosine, intensity = np.zeros(is_hit_lit.size), geometry.lights.intensity[light_index]
+            intensity = geometry.lights.intensity[light_index]
             distance = np.sqrt(geometry.squared_distance[light_index])
+            cosine = np.zeros(is_hit_lit.size)
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
             lit_index = find(is_hit_lit & self._is_glossy)
@@ -154,11 +171,12 @@ class Shading:
         for channel, diffuse_sum in enumerate(self._diffuse_sum):
             diffuse = hits.get_object_values(scene.diffuse[channel])
             diffuse *= diffuse_sum
-            specular = np.zeros(diffuse.size)
-            if self._specular_sum is not None:
+            if self._specular_sum is None:
+                specular = np.zeros(diffuse.size)
+            else:
                 specular = hits.get_object_values(scene.specular[channel])
                 specular *= self._specular_sum[channel]
-            yield ChannelRadiance(channel, diffuse, specular)
+            yield ChannelRadiance(channel=channel, diffuse=diffuse, specular=specular)
 
     def compute_radiance(
         self, out: Shaped[Floats, "3 samples"] | None = None
@@ -190,8 +208,14 @@ def _add_light(
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
+    """Compute the dot products for pairs of a light and a hit."""
     pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
-    geometry = LightGeometry(hits, lights, np.empty(pair_shape), np.empty(pair_shape))
+    geometry = LightGeometry(
+        hits=hits,
+        lights=lights,
+        n_dot_l=np.empty(pair_shape),
+        squared_distance=np.empty(pair_shape),
+    )
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
         # An object that contains the eye blocks all lights outside it.
         is_blocker = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
@@ -215,8 +239,9 @@ def find_narrow_highlights(
     """Yield, light by light, indices of hits near which one sample may miss a narrow highlight.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell (a pixel
-    or a part of it).  Hits whose surface does not face the light are skipped.  Occluders are
-    ignored, because the light may be visible from other points of the footprint.
+    or a part of it); its radius is in the scene's unit of length.  Hits whose surface does not face
+    the light are skipped.  Occluders are ignored, because the light may be visible from other
+    points of the footprint.
     """
     hits, scene = geometry.hits, geometry.hits.scene
     is_glossy = hits.get_object_values(scene.is_glossy)

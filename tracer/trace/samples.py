@@ -21,8 +21,14 @@ from tracer.geometry.camera import CameraFrame
 from tracer.geometry.shape import Shape
 from tracer.world.prepared_scene import PreparedScene
 
-# Spans are widened by this many pixels on both sides: far more than their rounding errors.
+# Spans are widened on both sides by this many pixels (of scattered samples) or samples (of rows):
+# far more than their rounding errors.
 _SPAN_PADDING = 0.5
+
+# Exponents of the numbers of samples along x and along y in the geometric mean that determines the
+# size of packets.
+_X_WEIGHT = 0.75
+_Y_WEIGHT = 1 - _X_WEIGHT
 
 # Scattered samples are sorted along a row if they are at most this many pixels from the left edge
 # of the picture.  Samples farther away are treated as equally far, so they are tested with more
@@ -89,7 +95,7 @@ class Rows(NamedTuple):
     """Samples in rows, numbered row by row."""
 
     y: Shaped[Floats, "rows"]  # in ascending order
-    x: Shaped[Floats, "columns"]  # in ascending order and equally spaced
+    x: Shaped[Floats, "columns"]  # in ascending order, with a spacing of 1 / per_pixel[0]
     shift: Shaped[Floats, "rows"]  # length by which the samples of each row are shifted right
     per_pixel: tuple[int, int] = (1, 1)  # numbers of samples in a pixel along x and along y
 
@@ -106,7 +112,7 @@ class Rows(NamedTuple):
         because most packets lie along a row.
         """
         x_count, y_count = self.per_pixel
-        return float(x_count**0.75 * y_count**0.25)
+        return float(x_count**_X_WEIGHT * y_count**_Y_WEIGHT)
 
     def compute_ray_x(self, frame: CameraFrame) -> Shaped[Floats, "rows*columns"]:
         """Compute `ray_x`, the rightward component of the ray through each sample."""
