@@ -65,15 +65,22 @@ from tracer.arrays import (
 )
 from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_ROUNDING
 
-# With n objects, a patch has sqrt(n) cells along each side, but at most `_MAX_SIDE`.  Smaller cells
-# have shorter lists, but filling them takes longer.  Cells are larger where objects would be listed
-# more than `_MAX_ENTRIES` times for each light, or all patches together would have more than
-# `_MAX_CELLS` cells.
-_MAX_SIDE, _MAX_ENTRIES, _MAX_CELLS = 320, 32 * BATCH_SIZE, 256 * BATCH_SIZE
+# Maximum number of cells along each side of a patch.  With n objects, a patch has sqrt(n) cells
+# along each side.  Smaller cells have shorter lists, but filling them takes longer.
+_MAX_SIDE = 320
 
-# Maximum number of pairs of a ball and an entry, and of a rectangle and a cell, in one batch: their
-# arrays stay in the CPU cache.
-_PAIRS_PER_BATCH, _CELLS_PER_BATCH = 4 * CACHE_SIZE, 4 * CACHE_SIZE
+# Cells are larger where objects would be listed more than this many times for each light: it limits
+# memory.
+_MAX_ENTRIES = 32 * BATCH_SIZE
+
+# Cells are larger if all patches together would have more than this many cells: it limits memory.
+_MAX_CELLS = 256 * BATCH_SIZE
+
+# Maximum number of pairs of a ball and an entry in one batch: their arrays stay in the CPU cache.
+_PAIRS_PER_BATCH = 4 * CACHE_SIZE
+
+# The same for pairs of a rectangle and a cell.
+_CELLS_PER_BATCH = 4 * CACHE_SIZE
 
 # On each of its sides, a patch excludes one in this many objects, which are listed in the cells at
 # the border of the patch.  Otherwise a single huge object could stretch the patch until all other
@@ -203,8 +210,9 @@ def build_light_grid(
     octant_index, box_index, rectangles, bounds = parts
     object_index = box_index % object_count
     visible_part = find(is_visible[object_index])
-    patches = _choose_patches(octant_index[visible_part], rectangles[:, visible_part], octant_count)
-    patch_of_octant, patch_origin, patch_size = patches
+    patch_of_octant, patch_origin, patch_size = _choose_patches(
+        octant_index[visible_part], rectangles[:, visible_part], octant_count
+    )
     patch_index = patch_of_octant[octant_index]
     entry_part = find((patch_index >= 0) & is_occluder[object_index])
     # Swap and negate each pair of rows, so that each minimum of a ball is compared with the
@@ -218,8 +226,18 @@ def build_light_grid(
     rectangles = _map_to_patch(rectangles, entry_patch, patch_origin, patch_size)
     patch_count = patch_origin.shape[1]
     cells_per_side = _choose_cells_per_side(rectangles, object_count, light_count, patch_count)
-    lists = _build_lists(rectangles, entry_patch, cells_per_side, patch_count)
-    return LightGrid(near_position, *patches, cells_per_side, *lists, entry_bounds, entry_object)
+    list_start, listed_entry = _build_lists(rectangles, entry_patch, cells_per_side, patch_count)
+    return LightGrid(
+        light_position=near_position,
+        patch_of_octant=patch_of_octant,
+        patch_origin=patch_origin,
+        patch_size=patch_size,
+        cells_per_side=cells_per_side,
+        list_start=list_start,
+        listed_entry=listed_entry,
+        entry_bounds=entry_bounds,
+        entry_object=entry_object,
+    )
 
 
 def _choose_patches(
@@ -253,8 +271,10 @@ def _move_far_lights(
     The second result bounds the errors of vectors from the scene to each light, which are due to
     the move and to rounding.
     """
-    scene_min, scene_max = box_min.min(axis=1, keepdims=True), box_max.max(axis=1, keepdims=True)
-    center, scene_size = scene_min / 2 + scene_max / 2, (scene_max - scene_min).sum()
+    scene_min = box_min.min(axis=1, keepdims=True)
+    scene_max = box_max.max(axis=1, keepdims=True)
+    scene_size = (scene_max - scene_min).sum()
+    center = scene_min / 2 + scene_max / 2
     from_center = positions.T - center
     shrink_factor = _MAX_LIGHT_DISTANCE * scene_size / np.abs(from_center).sum(axis=0)
     is_far = shrink_factor < 1
