@@ -4,6 +4,7 @@ import os
 import re
 import resource
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -47,14 +48,16 @@ def test_lines_and_errors_come_in_the_order_of_the_arguments(scenes, processes):
         assert Path(f"{path}.png").exists() != (path.stem in ("03", "05", "20", "38"))
 
 
-@pytest.fixture
-def submitted(monkeypatch: pytest.MonkeyPatch) -> list[type]:
-    """Use two processes on any machine; return the types of all items that workers are given.
+@pytest.fixture(params=[True, False], ids=["processes", "threads"])
+def submitted(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> list[type]:
+    """Use two processes or threads on any machine; return the types of all items of workers.
 
     The list grows while commands run in this process.
     """
     monkeypatch.setattr(cli, "count_processors", lambda: 2)
-    return record_calls(monkeypatch, batch.WorkerPool, "submit", lambda _pool, _f, item: type(item))
+    monkeypatch.setattr(batch, "has_lock", lambda: request.param)
+    pool = batch.WorkerPool if request.param else batch.Threads
+    return record_calls(monkeypatch, pool, "submit", lambda _pool, _function, item: type(item))
 
 
 @pytest.mark.parametrize(
@@ -102,11 +105,12 @@ def test_one_process_if_the_user_wants_no_more(scenes, submitted):
 
 
 def test_this_process_repeats_what_workers_cannot_do(scenes, submitted, monkeypatch):
-    """Workers, which are forked, have no memory to read a scene."""
+    """Workers, which are forked or threads, have no memory to read a scene."""
     parent, load = os.getpid(), batch.load_scene
 
     def load_in_parent(path: str) -> Any:
-        if os.getpid() != parent:
+        is_main_thread = threading.current_thread() is threading.main_thread()
+        if os.getpid() != parent or not is_main_thread:
             raise MemoryError
         return load(path)
 

@@ -21,7 +21,16 @@ import numpy as np
 import pytest
 from PIL import Image
 from probe import scene_of, sphere_scene
-from running import ROOT, needs_two, run, start_process, wait_until, workers_of, write_ball
+from running import (
+    ROOT,
+    needs_processes,
+    needs_two,
+    run,
+    start_process,
+    wait_until,
+    workers_of,
+    write_ball,
+)
 
 from tracer import Camera, Sphere, load_scene, render, save_scene
 from tracer.command import cli
@@ -156,6 +165,7 @@ def is_running(process_id: int) -> bool:
 
 
 @needs_two
+@needs_processes
 @pytest.mark.parametrize(
     "seeds",
     [
@@ -201,6 +211,7 @@ def test_a_lost_worker_costs_time_not_the_picture(sizes, seeds, tmp_path):
 
 
 @needs_two
+@needs_processes
 def test_workers_end_with_a_command_that_is_killed(tmp_path):
     path = write_ball(tmp_path / "large.xml", 6000, 5000)
     with start_process(path, "--quiet", "--processes", 2) as process:
