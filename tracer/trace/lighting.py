@@ -130,7 +130,7 @@ class Shading:
     lights that are visible from the hit; otherwise it is empty.
     """
 
-    visibility_ids: Ints
+    visibility_ids: Shaped[Ints, "ids"]  # one for each hit, or none
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
