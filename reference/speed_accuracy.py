@@ -189,7 +189,8 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
             if method == _POVRAY:
                 result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
                 samples = _POVRAY_SCHEDULES[factor][level]
-            error = compute_rms_error(result, reference_image)
+            image = np.asarray(result, dtype=np.float64)  # Mitsuba's is float32
+            error = compute_rms_error(image, reference_image)
             if error > min_error:
                 yield (name, method, samples, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:

@@ -133,6 +133,7 @@ def test_curves_are_sorted_and_show_the_best_settings_of_povray():
 def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MAX_ROUNDS_FACTOR", 1)
+    monkeypatch.setattr(speed_accuracy, "_MAX_SECONDS", float("inf"))  # on a loaded machine, too
     scene = small_scene("four-spheres", 32, 18)
     monkeypatch.setattr(speed_accuracy, "_load_scenes", lambda quick: {"small": scene})
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
