@@ -236,9 +236,9 @@ def main() -> None:
     page = format_section(
         "Mechanisms",
         "Written by `python -m reference.mechanisms`: what a picture takes without each mechanism,"
-        f" divided by what it takes with it. CPU times are medians of {rounds} rounds, in one"
-        " process; tests are those of an object and a ray, segment or capsule; the error is"
-        " the RMSE from the certified picture, 1.0× where the pictures are the same. The scene"
+        " divided by what it takes with it. CPU times are those of one process (medians; rounds: at"
+        f" least {rounds}); tests are those of an object and a ray, segment or capsule; the error"
+        " is the RMSE from the certified picture, 1.0× where the pictures are the same. The scene"
         " (of `tests/scenes`, `scenes`, or `reference/measured/workloads.py`) with its number of"
         f" samples per pixel is the one that needs the mechanism. Measured on {describe_origin()}.",
         ("mechanism", "lines", "what it does", "scene, samples", "time", "tests", "error"),
