@@ -158,7 +158,7 @@ def _sum_by_region(
 class _PointMoments(NamedTuple):
     """Statistics of the points in each region; the mean is (0, 0) if there are none."""
 
-    count: Shaped[Ints, "regions"]  # at least 1, also for regions without points
+    point_count: Shaped[Ints, "regions"]  # at least 1, also for regions without points
     mean_x: Shaped[Floats, "regions"]
     mean_y: Shaped[Floats, "regions"]
     # The covariance matrix, and its determinant.
@@ -181,7 +181,7 @@ def _compute_moments(
     x, y = position.real - mean_x[region_index], position.imag - mean_y[region_index]
     cov_xx, cov_xy, cov_yy = average(x * x), average(x * y), average(y * y)
     return _PointMoments(
-        count=count,
+        point_count=count,
         mean_x=mean_x,
         mean_y=mean_y,
         cov_xx=cov_xx,
@@ -214,11 +214,11 @@ def _compute_weights(
     moment_y = _sum_by_region(centroids.region_index, weighted_y, region_count)
     # The vector from the mean to the region's centroid, scaled by the area.
     offset_x, offset_y = moment_x - area * moments.mean_x, moment_y - area * moments.mean_y
-    divisor = np.where(is_represented, moments.count * moments.determinant, np.inf)
+    divisor = np.where(is_represented, moments.point_count * moments.determinant, np.inf)
     # The gradient of the weight: the vector w t.
     gradient_x = (moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor
     gradient_y = (moments.cov_xx * offset_y - moments.cov_xy * offset_x) / divisor
-    weight = np.where(is_represented, area / moments.count, 0)[region_index]
+    weight = np.where(is_represented, area / moments.point_count, 0)[region_index]
     x = position.real - moments.mean_x[region_index]
     y = position.imag - moments.mean_y[region_index]
     return weight + gradient_x[region_index] * x + gradient_y[region_index] * y, is_represented
