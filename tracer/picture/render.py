@@ -60,9 +60,12 @@ from tracer.world.prepared_scene import PreparedScene
 # at which a ray parallel to a plane meets the plane.
 _IGNORE_FLOAT_ERRORS = np.errstate(all="ignore")
 
-# Maximum number of samples in a tile, to limit memory.  In an adaptive picture it is multiplied by
-# the factor: few pixels are divided there, and the arrays of their samples should be long, too.
-_MAX_TILE_SAMPLES, _ADAPTIVE_FACTOR = 3 * CACHE_SIZE, 4
+# Maximum number of samples in a tile, to limit memory (`CACHE_SIZE` is a number of floats).
+_MAX_TILE_SAMPLES = 3 * CACHE_SIZE
+
+# Factor by which tiles of an adaptive picture may have more samples: few pixels are divided there,
+# and the arrays of their samples should be long, too.
+_ADAPTIVE_FACTOR = 4
 
 # Maximum estimated seconds for a tile, so that a bar shows progress and workers share the work
 # evenly.
@@ -84,12 +87,19 @@ _FIXED_SECONDS = 0.003
 # estimate; for 300 lights and one object, 0.1 times.
 _SECONDS_PER_SAMPLE = 4e-8
 
-# Estimated number of samples in a pixel of an adaptive picture, if n x n samples are requested:
-# `_ADAPTIVE_SAMPLES`, plus n + n^2 / `_SQUARE_DIVISOR` for each edge in the pixel.  The number of
-# edges is estimated as `_EDGE_FACTOR` / sqrt(number of pixels), plus `_PAIR_FACTOR` times the
-# density of pairs of silhouettes.  For 30 pictures of 80 x 45 to 1280 x 720 pixels and n = 2 to
-# 200, the measured time was 0.25 to 2.2 times the estimate.
-_ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 100
+# Four constants estimate how many samples a pixel of an adaptive picture takes, if n x n are
+# requested.  For 30 pictures of 80 x 45 to 1280 x 720 pixels and n = 2 to 200, the measured time
+# was 0.25 to 2.2 times the estimate.  This one is the number without edges.
+_ADAPTIVE_SAMPLES = 2.5
+
+# Each edge in the pixel adds n + n^2 / `_SQUARE_DIVISOR` samples.
+_SQUARE_DIVISOR = 100
+
+# The number of edges in a pixel is `_EDGE_FACTOR` / sqrt(number of pixels in the picture) ...
+_EDGE_FACTOR = 330
+
+# ... plus this factor times the density of pairs of silhouettes.
+_PAIR_FACTOR = 400
 
 # Maximum estimated number of samples in a pixel of an adaptive picture, divided by n^2.  Pixels
 # with many edges are sampled on a lattice, however many edges there are.  Without this limit,
@@ -403,6 +413,7 @@ class RenderJob:
 
         Tiles that workers share may be smaller, so that each processor gets several.
         """
+        # Without objects, the estimate for a pixel is 0, and any positive number does.
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         max_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
@@ -459,6 +470,7 @@ class RenderJob:
             sample_radiance = compute_radiance(scene, samples)
             visible_radiance[:] = self._lattice.average(sample_radiance, column_count)
         else:
+            # The reshaped array is a view, because a tile is whole rows or a part of one row.
             compute_radiance(scene, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
