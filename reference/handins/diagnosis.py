@@ -230,12 +230,16 @@ class Reference:
         submission = Submission(to_columns(codes), renderer, noise, picture.reencode)
         if format_noise and submission.is_wrong.mean() < 0.01:
             return make_verdict("format", "It is the right picture.")
-        finding = submission.find_mistakes()
+        black_surfaces = symptoms.find_black_surfaces(submission) if self.scene else []
+        # Why surfaces are black, their pixels cannot tell: pairs of mistakes would be guesses.
+        finding = submission.find_mistakes(may_be_pair=not black_surfaces)
         if finding.causes:
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
             sentence = f"That leaves {counts} wrong pixels unexplained."
             causes = (_format_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
+        if self.scene and black_surfaces:
+            return _describe_black_surfaces(self.scene, black_surfaces)
         if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
             return make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
@@ -322,6 +326,14 @@ class Reference:
         command = f"tracer {self.name}{option} --pixel {x},{y}"
         lights_text = _describe_light_errors(self.scene, submission, is_wrong)
         return f"{count_text}: {surfaces_text}.{lights_text}{pixel_text}; {command} explains it."
+
+
+def _describe_black_surfaces(scene: Scene, surface_indices: list[int]) -> Diagnosis:
+    names = [str(SurfaceRef.from_index(scene, index)) for index in surface_indices[:_MAX_NAMED]]
+    if other_count := len(surface_indices) - len(names):
+        names.append(f"{other_count} more")
+    verb = "is" if len(names) == 1 else "are"
+    return make_verdict("black-surfaces", f"{' and '.join(names)} {verb} black or missing.")
 
 
 class _WrongSurface(NamedTuple):

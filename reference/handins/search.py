@@ -17,11 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import chain, product
-from typing import NamedTuple
+from typing import Annotated as Shaped
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from reference.handins import mistakes
+from reference.handins.drawing import FormulaCache
 from reference.handins.formulas import Array
 from reference.handins.renderer import (
     MAX_INTERSECTIONS,
@@ -32,7 +34,10 @@ from reference.handins.renderer import (
     remove_variants,
     shuffle_range,
 )
+from reference.judges.arrays import Bools, Floats
 from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_picture
+
+Reencode: TypeAlias = Callable[[Codes], Codes]
 
 # A cause is reported if it leaves at most this share of the wrong pixels unexplained.
 _MAX_UNEXPLAINED_SHARE = 0.03
@@ -67,73 +72,75 @@ _MIN_SHOWN_SURFACES = 3
 
 
 class Finding(NamedTuple):
-    """The result of searching for the mistakes in a submitted picture.
+    """The result of searching for the mistakes in a submitted picture."""
 
-    A cause is a tuple of keywords of mistakes that are made together, such as
-    ("mirrored", "gamma-none").
-
-    Attributes
-    ----------
-    causes : tuple of tuples of str
-        The causes that explain the submitted picture.  If there are several, they give nearly the
-        same picture of this scene.  Empty if no cause explains it.
-    unexplained_count : int
-        Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
-        hint, the number of wrong pixels.
-    hint : tuple of str
-        If `causes` is empty, the cause that comes closest to explaining the picture.  Empty if even
-        this cause leaves more than half of the wrong pixels unexplained.
-    """
-
+    # The causes that explain the submitted picture.  If there are several, they give nearly the
+    # same picture of this scene.  Empty if no cause explains it.
     causes: tuple[Cause, ...]
+    # Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
+    # hint, the number of wrong pixels.
     unexplained_count: int
+    # If there are no causes, the one that comes closest to explaining the picture.  Empty if it
+    # comes not close enough.
     hint: Cause = ()
+
+
+class _Selection(NamedTuple):
+    """Pixels that represent a picture."""
+
+    pixel_index: Shaped[Array, "k"]
+    weights: Shaped[Floats, "k"]  # number of pixels of the picture that each represents
+    width: int = 0  # of the picture that the pixels form; 0 if they form none
 
 
 class Submission:
     """A picture that a student submitted, and the search for its mistakes.
 
-    A *cause* is a tuple of keywords of mistakes that are made together.  A *wrong* pixel differs
-    from the reference picture.  A cause leaves a pixel *unexplained* if the submitted picture
-    differs there from the picture that is rendered with the cause.
+    A *wrong* pixel differs from the reference picture by more than the tolerance.  A cause leaves a
+    pixel *unexplained* if the submitted picture differs there by more than the tolerance from the
+    picture that is rendered with the cause, and *inexact* if it differs at all.
 
     Parameters
     ----------
-    codes : (3, n) uint8 array
-        8-bit codes of the n pixels of the submitted picture.
-    renderer : MistakeRenderer
+    renderer
         Renders the scene with mistakes, at the size of the submitted picture.
-    format_noise : int
+    format_noise
         Number of levels by which the file format of the submitted picture, or of the reference
-        picture, may have changed codes.
-    reencode : callable, optional
-        Takes the codes (h, w, 3) of a picture, and returns them as this file format alters them.
-
-    Attributes
-    ----------
-    tolerance : int
-        Differences of at most this many levels are ignored.
-    is_wrong : (n,) bool array
-        True for pixels that differ from the reference picture by more than the tolerance.
-    wrong_count, clearly_wrong_count : int
-        Number of wrong pixels, and of pixels that differ by more than one level.
-    fitting_cache : FormulaCache
-        The cache whose pixels are used to fit parameters such as gamma: a sample of the
-        picture, and the brightest pixel.
+        picture, may have changed codes.  Such differences count neither as wrong nor as inexact.
+    reencode
+        Returns the codes of a picture as the file format of the submitted picture alters them.
     """
 
+    codes: Shaped[Codes, "3 n"]
+    tolerance: int  # in levels
+    is_wrong: Shaped[Bools, "n"]
+    wrong_count: int
+    clearly_wrong_count: int  # of pixels that differ by more than one level
+    # Its pixels are used to estimate numbers such as gamma: a sample of the picture, and the
+    # brightest pixel.
+    fitting_cache: FormulaCache
+
     def __init__(
-        self, codes: Array, renderer: MistakeRenderer, format_noise: int = 0,
-        reencode: Callable[[Codes], Codes] | None = None,
-    ) -> None:  # fmt: skip
-        self.codes, self.renderer, self.format_noise = codes, renderer, format_noise
-        self._reencode, reference_codes = reencode, renderer.reference_codes
-        differences = compare_levels(self._apply_losses(reference_codes, renderer.width), codes)
+        self,
+        codes: Shaped[Codes, "3 n"],
+        renderer: MistakeRenderer,
+        format_noise: int = 0,
+        reencode: Reencode | None = None,
+    ) -> None:
+        self.codes = codes
+        self.renderer = renderer
+        self.format_noise = format_noise
+        self._reencode = reencode
+        reference_codes = renderer.reference_codes
+        differences = compare_levels(
+            _apply_losses(reencode, reference_codes, renderer.width), codes
+        )
         self.clearly_wrong_count = int((differences > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
         self.tolerance = format_noise or int(self.clearly_wrong_count > 2)
         self.is_wrong = differences > self.tolerance
-        self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
+        self.wrong_count = int(self.is_wrong.sum())
+        pixel_count = renderer.pixel_count
         order = shuffle_range(pixel_count)
         red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
         counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
@@ -144,29 +151,18 @@ class Submission:
         # Indices of wrong pixels, then of right ones, both in random order.
         self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
         max_count = min(MAX_PIXELS, MAX_INTERSECTIONS // max(1, renderer.surface_count))
-        final = self._choose_blocks(max_count) if reencode else (*self._choose_pixels(max_count), 0)
-        self._final_pixels, self._final_weights, self._final_width = final
+        # The pixels at which the last causes are compared.
+        choose = self._choose_blocks if reencode else self._choose_pixels
+        self._final = choose(max_count)
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
         fitting_pixels = np.append(renderer.sample_index, reference_codes.sum(0, np.int16).argmax())
         self.fitting_cache = renderer.make_cache(fitting_pixels, codes)
 
-    def _choose_pixels(self, count: int) -> tuple[Array, Array]:
+    def _choose_pixels(self, count: int) -> _Selection:
         """Choose random pixels: half of them wrong, half of them right, if there are enough.
 
-        Wrong pixels differ from the reference picture.
-
-        Parameters
-        ----------
-        count : int
-            Number of pixels to choose; in a smaller picture, all pixels are chosen.
-
-        Returns
-        -------
-        pixel_index : (k,) int array
-            Indices of the chosen pixels, sorted.
-        weights : (k,) float array
-            Number of pixels of the picture that each chosen pixel represents.
+        In a smaller picture, all pixels are chosen.
         """
         wrong_pixels, right_pixels = self._shuffled_pixels
         chosen_wrong_pixels = wrong_pixels[: max(count // 2, count - len(right_pixels))]
@@ -174,34 +170,23 @@ class Submission:
         pixel_index = np.sort(np.concatenate([chosen_wrong_pixels, chosen_right_pixels]))
         wrong_weight = self.wrong_count / max(1, len(chosen_wrong_pixels))
         right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right_pixels))
-        return pixel_index, np.where(self.is_wrong[pixel_index], wrong_weight, right_weight)
+        weights = np.where(self.is_wrong[pixel_index], wrong_weight, right_weight)
+        return _Selection(pixel_index=pixel_index, weights=weights)
 
-    def _choose_blocks(self, count: int) -> tuple[Array, Array, int]:
+    def _choose_blocks(self, count: int) -> _Selection:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
         The chosen blocks form a mosaic, one below the other.  JPEG compresses blocks separately, so
-        compression alters them as it does in the whole picture, except at their edges.
-
-        Parameters
-        ----------
-        count : int
-            Number of pixels to choose; raised to `MAX_PIXELS` / 8 if it is less.  If the picture
-            has no more pixels, or is narrower or lower than a block, all pixels are chosen.
-
-        Returns
-        -------
-        pixel_index : (k,) int array
-            Indices of the pixels of the chosen blocks, in the order of the mosaic.
-        weights : (k,) float array
-            Number of pixels of the whole picture that each chosen pixel represents; 0 at the edges
-            of blocks.
-        width : int
-            Width of a block; or of the whole picture, if all pixels are chosen.
+        compression alters them as it does in the whole picture, except at their edges, whose weight
+        is 0.  At least `MAX_PIXELS` / 8 pixels are chosen.  If the picture has no more pixels, or
+        is narrower or lower than a block, all are chosen, as a picture.
         """
         pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
-        every_pixel, count = np.arange(pixel_count, dtype=np.int32), max(count, MAX_PIXELS // 8)
+        every_pixel = np.arange(pixel_count, dtype=np.int32)
+        count = max(count, MAX_PIXELS // 8)
         if pixel_count <= count or min(width, pixel_count // width) < side:
-            return every_pixel, np.ones(pixel_count), width
+            weights = np.ones(pixel_count)
+            return _Selection(pixel_index=every_pixel, weights=weights, width=width)
         pixel_grid = every_pixel.reshape(-1, width)
         rows, columns = (size // side * side for size in pixel_grid.shape)
         blocks: Array = pixel_grid[:rows, :columns].reshape(-1, side, columns // side, side)
@@ -212,98 +197,42 @@ class Submission:
         weights = np.zeros((len(block_index), side, side))
         weights[:, 1:-1, 1:-1] = block_weights[strata[block_index], None, None]
         weights *= side**2 / (side - 2) ** 2
-        return blocks[block_index].ravel(), weights.ravel(), side
+        pixel_index = blocks[block_index].ravel()
+        return _Selection(pixel_index=pixel_index, weights=weights.ravel(), width=side)
 
-    def _apply_losses(self, codes: Codes, width: int) -> Codes:
-        """Alter the codes of a picture as the file format of the submitted picture would.
+    def _compare_levels(
+        self, causes: Sequence[Cause], pixel_index: Shaped[Array, "k"], width: int = 0
+    ) -> Shaped[Codes, "causes k"]:
+        """Render a picture with each of at least one cause, and compare it with the submitted
+        picture.
 
-        Parameters
-        ----------
-        codes : (3, n) uint8 array
-            8-bit codes of the n pixels of the picture.
-        width : int
-            Width of the picture in pixels.
-
-        Returns
-        -------
-        (3, n) uint8 array
-            The altered codes; unchanged if the submission has no `reencode` function.
-        """
-        return to_columns(self._reencode(to_picture(codes, width))) if self._reencode else codes
-
-    def _compare_levels(self, causes: Sequence[Cause], pixel_index: Array, width: int = 0) -> Array:
-        """Render a picture with each cause, and compare it with the submitted picture.
-
-        Parameters
-        ----------
-        causes : sequence of tuples of str
-            At least one cause: the keywords of mistakes that are made together.
-        pixel_index : (k,) int array
-            Indices of the pixels to compare.
-        width : int
-            If given, the pixels form a picture of this width, and the rendered codes are altered
-            by the file format of the submitted picture.  By default, they are not altered.
-
-        Returns
-        -------
-        differences : (causes, k) array
-            For each cause and pixel, the difference in levels, in the channel that differs most.
+        If `width` is given, the pixels form a picture of this width, and the rendered codes are
+        altered by the file format of the submitted picture.
         """
         formula_maps = [self.renderer.get_formulas(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_maps, pixel_index, self.codes, self.fitting_cache)
         if width and self._reencode:
-            pictures = np.array([self._apply_losses(codes, width) for codes in pictures])
+            pictures = np.array([_apply_losses(self._reencode, codes, width) for codes in pictures])
         return compare_levels(pictures, self.codes[:, pixel_index])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
-        """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
-
-        Parameters
-        ----------
-        causes : sequence of tuples of str
-            For each cause, the keywords of mistakes that are made together.
-        """
+        """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them."""
         cached_counts, limits = self._counts_by_cause, (self.tolerance, self.format_noise)
         if new_causes := [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]:
-            differences = self._compare_levels(new_causes, self._final_pixels, self._final_width)
+            differences = self._compare_levels(
+                new_causes, self._final.pixel_index, self._final.width
+            )
             for cause, difference in zip(new_causes, differences, strict=True):
-                counts = ((difference > limit) @ self._final_weights for limit in limits)
+                counts = ((difference > limit) @ self._final.weights for limit in limits)
                 cached_counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
-        """Count the pixels that a cause leaves unexplained.
-
-        In these pixels, the submitted picture differs from the picture rendered with the cause by
-        more than the tolerance.
-
-        Parameters
-        ----------
-        cause : tuple of str
-            Keywords of mistakes that are made together.
-
-        Returns
-        -------
-        int
-            Number of pixels; an estimate if the picture is large.
-        """
+        """Count the pixels that a cause leaves unexplained; an estimate if the picture is large."""
         self._cache_counts([cause])
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
-        """Count the pixels of the submitted picture that a cause does not reproduce exactly.
-
-        If its format is lossy, differences of at most `format_noise` levels are ignored.
-
-        Parameters
-        ----------
-        cause : tuple of str
-            Keywords of mistakes that are made together.
-
-        Returns
-        -------
-        int
-            Number of pixels; an estimate if the picture is large.
-        """
+        """Count the pixels that a cause leaves inexact; an estimate if the picture is large."""
         self._cache_counts([cause])
         return self._counts_by_cause[cause][1]
 
@@ -313,24 +242,14 @@ class Submission:
         return inexact_count <= max(_FEW_PIXELS, _MAX_INEXACT_SHARE * self._count_inexact(()))
 
     def _rank_causes(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that leave the fewest pixels unexplained, and rank them.
+        """Select the causes that leave the fewest pixels unexplained, the best first.
 
         Successive halving compares all causes at a few pixels, then the best of them at more
-        pixels, and so on.
-
-        Parameters
-        ----------
-        causes : list of tuples of str
-            For each cause, the keywords of mistakes that are made together.
-
-        Returns
-        -------
-        list of tuples of str
-            At most `_FINAL_CAUSE_COUNT` causes, the best first.  Empty if no cause explains a
-            quarter of the wrong pixels.
+        pixels, and so on.  The result has at most `_FINAL_CAUSE_COUNT` causes.  It is empty if no
+        cause explains a quarter of the wrong pixels.
         """
         pixel_count, max_causes = self.renderer.first_round_size, _MAX_CAUSE_COUNT
-        while len(causes) > _FINAL_CAUSE_COUNT and pixel_count < len(self._final_pixels):
+        while len(causes) > _FINAL_CAUSE_COUNT and pixel_count < len(self._final.pixel_index):
             causes = self._run_round(causes, pixel_count, max(_FINAL_CAUSE_COUNT, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
         self._cache_counts(causes[:_FINAL_CAUSE_COUNT])
@@ -339,22 +258,11 @@ class Submission:
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
         """Run one round of successive halving: compare causes at some pixels, and keep the best.
 
-        Parameters
-        ----------
-        causes : list of tuples of str
-            The causes to compare.
-        pixel_count : int
-            Number of pixels at which to compare the causes.
-        max_causes : int
-            Maximum number of causes to keep.
-
-        Returns
-        -------
-        list of tuples of str
-            The best causes, the best first.  Empty if every cause leaves more than
-            `_HOPELESS_SHARE` of the wrong pixels unexplained.
+        The result is empty if every cause leaves more than `_HOPELESS_SHARE` of the wrong pixels
+        unexplained.
         """
-        pixel_index, weights = self._choose_pixels(pixel_count)
+        selection = self._choose_pixels(pixel_count)
+        pixel_index, weights = selection.pixel_index, selection.weights
         differences = self._compare_levels(causes, pixel_index)
         if self.format_noise:  # nearly all pixels differ: select the smallest sums of differences
             order = np.argsort(np.minimum(differences, _MAX_DIFFERENCE) @ weights, kind="stable")
@@ -406,13 +314,7 @@ class Submission:
         """Select the pairs of mistakes that come closest to explaining the submitted picture.
 
         If several mistakes give the same picture, only one of them is tried in all pairs.  The best
-        pairs are then tried again with each of the others in its place.
-
-        Returns
-        -------
-        list of tuples of str
-            At most `_FINAL_CAUSE_COUNT` causes, the best first.  Each contains the keywords of two
-            mistakes.
+        pairs are then tried again with each of the others in its place, and with variants.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         groups = {background: [background]} | renderer.cause_groups
@@ -435,19 +337,10 @@ class Submission:
         return self._rank_causes([*pairs]) if len(pairs) > len(best_pairs) else best_pairs
 
     def _needs_both_mistakes(self, cause: Cause) -> bool:
-        """Test whether two mistakes explain the submitted picture together, but neither does alone.
+        """Test whether each mistake of a pair alone leaves far more pixels unexplained than both.
 
-        Parameters
-        ----------
-        cause : tuple of str
-            Keywords of two mistakes, perhaps followed by those of a rounding mistake and of a
-            variant (another correct way to write a tracer).
-
-        Returns
-        -------
-        bool
-            True if each mistake alone leaves far more pixels unexplained than both together.
-            False if a camera mistake leaves few surfaces in the picture, which may match by chance.
+        False also if a camera mistake leaves few surfaces in the picture, which may match by
+        chance.
         """
         pair_unexplained = self._count_unexplained(cause)
         if pair_unexplained > self._max_unexplained:
@@ -466,21 +359,11 @@ class Submission:
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that are good enough to report.
+        """Select the causes that are good enough to report, in the order of the table of mistakes.
 
-        A cause is good enough if it leaves few pixels unexplained and no other cause is far better.
-        Causes that depend on a number estimated from the submitted picture, such as a gamma, are
-        selected only if no other causes are good enough.
-
-        Parameters
-        ----------
-        causes : list of tuples of str
-            For each cause, the keywords of mistakes that are made together.
-
-        Returns
-        -------
-        list of tuples of str
-            The selected causes, in the order of the table of mistakes.
+        They leave few pixels unexplained, reproduce most of the others exactly, and no other cause
+        is far better.  Causes with an estimated number, such as a gamma, are selected only if there
+        are no others.
         """
         max_unexplained = min(self._max_unexplained, self.wrong_count - 1)
         causes = [
@@ -501,17 +384,7 @@ class Submission:
     def _add_rounding(self, causes: list[Cause]) -> list[Cause]:
         """Add a rounding mistake to each cause that then reproduces far more pixels exactly.
 
-        A rounding mistake, such as truncation, changes 8-bit codes by at most 1.
-
-        Parameters
-        ----------
-        causes : list of tuples of str
-            For each cause, the keywords of mistakes that are made together.
-
-        Returns
-        -------
-        list of tuples of str
-            The causes in the same order, each unchanged or with the keyword of a rounding mistake.
+        A rounding mistake, such as truncation, changes codes by at most 1.
         """
         # Without a tolerance, rounding is found like other mistakes; lossy compression hides it.
         if not self.tolerance or self.format_noise:
@@ -526,3 +399,10 @@ class Submission:
             max_inexact = _LARGE_RATIO * max(self._count_inexact(best_cause), _FEW_PIXELS)
             chosen_causes.append(best_cause if max_inexact < self._count_inexact(cause) else cause)
         return chosen_causes
+
+
+def _apply_losses(
+    reencode: Reencode | None, codes: Shaped[Codes, "3 k"], width: int
+) -> Shaped[Codes, "3 k"]:
+    """Alter the codes of a picture as a file format does, if it has a function for it."""
+    return to_columns(reencode(to_picture(codes, width))) if reencode else codes

@@ -102,6 +102,17 @@ def find_light_errors(submission: Submission) -> LightErrors | None:
     return LightErrors(is_light_missing, is_light_extra)
 
 
+def find_black_surfaces(submission: Submission) -> list[int]:
+    """Find the surfaces that are black in the submitted picture, if they have all wrong pixels.
+
+    The result is empty if pixels of other surfaces, or of the background, are wrong, too.
+    """
+    surface_index = submission.renderer.surface_index
+    wrong_surfaces = np.unique(surface_index[submission.is_wrong])
+    codes = submission.codes[:, np.isin(surface_index, wrong_surfaces)]
+    return [] if codes.any() or -1 in wrong_surfaces else [*map(int, wrong_surfaces)]
+
+
 def is_speckled(submission: Submission) -> bool:
     """Test for shadow acne: dark dots where surfaces shadow themselves because of rounding.
 
