@@ -25,6 +25,10 @@ ROOT = Path(tracer.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 INTERRUPTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 
+# Seconds after which a process is ended.  Half of the time after which pytest ends the whole run
+# (`faulthandler_timeout`): a test whose process waits for ever fails alone.
+_MAX_SECONDS = 150
+
 
 def write_ball(path: Path, width: int, height: int) -> Path:
     """Write a scene file that shows a ball in width x height pixels, and return its path."""
@@ -37,30 +41,23 @@ def start_process(
 ) -> subprocess.Popen[str]:
     """Start a command of the tracer, or other Python code, in a new process.
 
-    All signals have their default effect in the process, and one ends it after 5 minutes.
+    All signals have their default effect in the process, and one ends it after `_MAX_SECONDS`.
 
     Parameters
     ----------
-    *arguments : object
-        Arguments of the command, converted to str.
-    python : sequence of str
+    python
         Arguments of the Python interpreter before those of the command.  By default, they run the
         module `tracer`.
-    **options : Any
+    **options
         Keyword arguments of `subprocess.Popen`.  By default, standard output and standard error
         are pipes of text.  The variables in `env` are added to `ENVIRONMENT`.  `preexec_fn` is
         called in the new process after the default handling of signals has been restored.
-
-    Returns
-    -------
-    process : subprocess.Popen
-        The running process.
     """
     prepare = options.pop("preexec_fn", lambda: None)
 
     def prepare_signals() -> None:
         """Set the time limit, and restore the default handling of signals."""
-        signal.alarm(300)  # the alarm survives the loading of the program
+        signal.alarm(_MAX_SECONDS)  # the alarm survives the loading of the program
         for number in INTERRUPTS:  # nohup and background scripts ignore some signals
             signal.signal(number, signal.SIG_DFL)
         prepare()
@@ -72,24 +69,11 @@ def start_process(
 
 
 def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any, Any]:
-    """Run a command of the tracer, or other Python code, in a new process, and wait for its end.
+    """Run a command as `start_process` does, and return its exit status, output and errors.
 
-    Parameters
-    ----------
-    *arguments : object
-        Arguments of the command, converted to str.
-    input : str or bytes, optional
-        The standard input; bytes if the option `text` is False.
-    **options : Any
-        Keyword arguments of `start_process`, such as `python`, and of `subprocess.Popen`.
-
-    Returns
-    -------
-    status : int
-        The exit status of the process; if a signal ended it, the negative number of the signal.
-    out, err : str, bytes or None
-        What the process wrote to standard output and standard error; bytes if the option `text` is
-        False; None if an option redirected the stream.
+    If a signal ended the process, the status is the negative number of the signal.  Input, output
+    and errors are bytes if the option `text` is False; output and errors are None if an option
+    redirected the stream.
     """
     if input is not None:
         options["stdin"] = subprocess.PIPE

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +18,20 @@ from tracer.command.batch import Job
 def scene(tmp_path: Path) -> Path:
     """Write the file of a scene with 40 x 30 pixels into an empty folder, and return its path."""
     return write_ball(tmp_path / "ball.xml", 40, 30)
+
+
+@pytest.fixture(autouse=True)
+def _limit_time() -> Iterator[None]:
+    """Make a test fail that waits for ever, so that the others still run."""
+
+    def fail(_number: int, _frame: object) -> None:
+        pytest.fail("waited for a minute")
+
+    old_handler = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, old_handler)
 
 
 def test_watch(scene):

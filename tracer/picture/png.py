@@ -18,6 +18,7 @@ import zlib
 from collections.abc import Iterable
 from functools import cache
 from typing import IO, NamedTuple
+from typing import Annotated as Shaped
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,44 +81,28 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
 
 
 class CompressedTile(NamedTuple):
-    """A tile of a picture (a rectangle of pixels), compressed for a PNG file.
+    """A tile of a picture (a rectangle of pixels), compressed for a PNG file."""
 
-    Attributes
-    ----------
-    data : bytes
-        Deflate blocks (RFC 1951).  They end at the end of a byte, and none is marked as the last
-        block of a stream, so the blocks of several tiles can be joined.
-    size : int
-        Number of bytes before compression.
-    checksum : int
-        Adler-32 checksum (RFC 1950) of the bytes before compression.
-    """
-
+    # Deflate blocks (RFC 1951).  They end at the end of a byte, and none is marked as the last
+    # block of a stream, so the blocks of several tiles can be joined.
     data: bytes
-    size: int
-    checksum: int
+    size: int  # in bytes, before compression
+    checksum: int  # Adler-32 (RFC 1950) of the bytes before compression
 
 
-def compress_tile(radiance: Floats, *, is_leftmost: bool = True) -> CompressedTile:
-    """Encode a tile (a rectangle of pixels) as 8-bit codes, and compress it for a PNG file.
+def compress_tile(
+    radiance: Shaped[Floats, "rows columns 3"], *, is_leftmost: bool = True
+) -> CompressedTile:
+    """Encode a tile as 8-bit codes, and compress it for `write_tiles`.
+
+    A tile is whole rows of what the file shows, or part of one row.  Raise ValueError if it
+    contains a NaN.
 
     Parameters
     ----------
-    radiance : (rows, columns, 3) float array
-        Linear RGB radiance of the tile: whole rows of the picture, or part of one row.
-    is_leftmost : bool
-        Whether the tile is at the left edge of the picture.  If so, each row begins with a zero
-        byte, which means that the row is not filtered (PNG, 9.2).
-
-    Returns
-    -------
-    tile : CompressedTile
-        The compressed codes, for `write_tiles`.
-
-    Raises
-    ------
-    ValueError
-        If the radiance contains a NaN.
+    is_leftmost
+        Whether the tile is at the left edge of what the file shows.  If so, each row begins with a
+        zero byte, which means that the row is not filtered (PNG, 9.2).
     """
     codes = to_codes(radiance)
     rows = codes.reshape(len(codes), -1)
@@ -131,25 +116,11 @@ def compress_tile(radiance: Floats, *, is_leftmost: bool = True) -> CompressedTi
 
 
 def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[CompressedTile]) -> None:
-    """Write a PNG file from the compressed tiles of a picture.
+    """Write a PNG file, at the current position of `file`, from the tiles of a picture.
 
-    Parameters
-    ----------
-    file : binary file
-        A file open for writing.  The PNG file begins at the current position.
-    width, height : int
-        Size of the picture, in pixels.
-    tiles : iterable of CompressedTile
-        The pixels of the picture, from top to bottom and from left to right.  Each tile is written
-        before the next one is requested.
-
-    Raises
-    ------
-    ValueError
-        If `width` or `height` is less than 1, or the tiles contain more or fewer pixels than the
-        picture has.
-    OSError
-        If the file cannot be written.
+    The tiles are ordered from top to bottom and from left to right.  Each is written before the
+    next one is requested.  Raise ValueError if they contain more or fewer pixels than the picture
+    has, or it has none.
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
@@ -181,18 +152,6 @@ def _combine_checksums(first_checksum: int, second_checksum: int, second_size: i
 
     An Adler-32 checksum (RFC 1950) has two halves of 16 bits, modulo 65521.  The lower half is 1
     plus the sum of the bytes.  The upper half is the sum of the lower halves after each byte.
-
-    Parameters
-    ----------
-    first_checksum, second_checksum : int
-        Adler-32 checksums of the two byte strings.
-    second_size : int
-        Number of bytes in the second string.
-
-    Returns
-    -------
-    checksum : int
-        Adler-32 checksum of the first string followed by the second.
     """
     lower1, upper1 = first_checksum & 0xFFFF, first_checksum >> 16
     lower2, upper2 = second_checksum & 0xFFFF, second_checksum >> 16
@@ -237,25 +196,11 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     return codes
 
 
-def _validate_radiance(image: ArrayLike) -> Floats:
+def _validate_radiance(image: ArrayLike) -> Shaped[Floats, "height width 3"]:
     """Check that an image is linear radiance, and convert it to a contiguous float64 array.
 
-    Parameters
-    ----------
-    image : (height, width, 3) array_like
-        Linear RGB radiance.
-
-    Returns
-    -------
-    radiance : (height, width, 3) float64 array
-        The same values in C order; `image` itself if it is already such an array.
-
-    Raises
-    ------
-    TypeError
-        If the image has type uint8, is complex, or is a masked array.
-    ValueError
-        If the image has another shape, or contains a NaN.
+    The result is `image` itself if that is already such an array.  The errors are those of
+    `to_codes`.
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:
@@ -273,30 +218,16 @@ def _validate_radiance(image: ArrayLike) -> Floats:
 
 
 @cache
-def _compute_next_thresholds() -> Floats:
+def _compute_next_thresholds() -> Shaped[Floats, "256"]:
     """Compute, for each 8-bit code, the smallest radiance that has a larger code.
 
-    Returns
-    -------
-    next_thresholds : (_MAX_CODE + 1,) float array
-        The exact thresholds; infinite for the last code.
+    It is exact, and infinite for the last code.
     """
     return np.array([*map(_compute_threshold, range(1, _MAX_CODE + 1)), np.inf])
 
 
 def _compute_threshold(code: int) -> float:
-    """Compute the smallest float64 radiance whose 8-bit code is at least `code`.
-
-    Parameters
-    ----------
-    code : int
-        An 8-bit code, from 1 to 255.
-
-    Returns
-    -------
-    threshold : float
-        The exact threshold.
-    """
+    """Compute the smallest float64 radiance whose 8-bit code is at least `code` (1 to 255)."""
     p, q = _GAMMA  # gamma is p / q
     relative_code = (code - 0.5) / _MAX_CODE
     # Splitting the exponent limits the error to a few units in the last place (ulps).
