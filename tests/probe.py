@@ -22,24 +22,7 @@ def scene_of(
     size: tuple[int, int],
     lights: list[PointLight] | Vector,
 ) -> Scene:
-    """Build a scene from surfaces, a camera and lights.
-
-    Parameters
-    ----------
-    *surfaces : Sphere or Box
-        The surfaces of the scene.
-    camera : Camera, optional
-        The camera; by default `Camera()`.
-    size : (int, int)
-        Width and height of the picture, in pixels.
-    lights : list of PointLight, or (float, float, float)
-        The lights.  Three numbers are the position of a single white light.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
-    """
+    """Build a scene; three numbers as `lights` are the position of a single white light."""
     lights = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
     return Scene(
@@ -48,13 +31,7 @@ def scene_of(
 
 
 def sphere_scene(width: int = 300, height: int = 200) -> Scene:
-    """Build a scene of a sphere, visible in all of the picture but its corners, and two lights.
-
-    Parameters
-    ----------
-    width, height : int
-        Size of the picture, in pixels.
-    """
+    """Build a scene of a sphere, visible in all of the picture but its corners, and two lights."""
     camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
     lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
     return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
@@ -63,19 +40,8 @@ def sphere_scene(width: int = 300, height: int = 200) -> Scene:
 def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
     """Build a scene that shows surfaces near the origin from (0, 0, 5), through a narrow window.
 
-    Parameters
-    ----------
-    *surfaces : Sphere or Box
-        The surfaces of the scene.
-    light : (float, float, float)
-        Position of the only light, which is white.
-    **camera : object
-        Other arguments of `Camera` than `view_point`, `view_width` and `view_height`.
-
-    Returns
-    -------
-    scene : Scene
-        The scene, with a picture of 24 x 24 pixels.
+    The picture has 24 x 24 pixels, and the only light is white.  `camera` has other arguments of
+    `Camera`.
     """
     view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
     return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
@@ -88,19 +54,7 @@ def random_direction(rng: np.random.Generator) -> Floats:
 
 
 def rgb_lights(*positions: Vector) -> list[PointLight]:
-    """Return a red, a green and a blue light, each of which contributes to one colour channel.
-
-    Parameters
-    ----------
-    *positions : (float, float, float)
-        Positions of one to three lights.
-
-    Returns
-    -------
-    lights : list of PointLight
-        One light of intensity 1 at each position: the first is red, the second green, the third
-        blue.
-    """
+    """Return one to three lights, a red, a green and a blue one, each for one colour channel."""
     return [
         PointLight(position=position, intensity=color)
         for position, color in zip(positions, np.eye(3)[: len(positions)], strict=True)
@@ -108,22 +62,7 @@ def rgb_lights(*positions: Vector) -> list[PointLight]:
 
 
 def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
-    """Return a scaled and shifted copy of a scene, which has the same picture except for rounding.
-
-    Parameters
-    ----------
-    scene : Scene
-        The original, which is not changed.
-    scale : float
-        Factor on all lengths, greater than 0.
-    shift : (float, float, float)
-        Vector added to all points after scaling.
-
-    Returns
-    -------
-    copy : Scene
-        The scaled and shifted scene.
-    """
+    """Scale, then shift a copy of a scene, which has the same picture except for rounding."""
 
     def move(point: Vector) -> Vector:
         """Scale and shift a point."""
@@ -151,21 +90,8 @@ def record_calls(
 ) -> list[Any]:
     """Record a summary of the arguments whenever a function is called, until the test ends.
 
-    Parameters
-    ----------
-    monkeypatch : pytest.MonkeyPatch
-        Restores the function at the end of the test.
-    owner : object
-        The module or class that contains the function.
-    name : str
-        Name of the function in `owner`.
-    summary : callable
-        Called with the positional arguments of each call; its result is recorded.
-
-    Returns
-    -------
-    summaries : list
-        At first empty.  Each call of the function appends what `summary` returns.
+    The function is an attribute of a module or class, `owner`.  Each call appends to the list that
+    is returned what `summary` returns for its positional arguments.
     """
     summaries: list[Any] = []
     function = getattr(owner, name)
