@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -37,46 +38,26 @@ _ALPHA_NOTE = "is transparent in places, which counts as black: save it as RGB."
 
 
 class Picture(NamedTuple):
-    """The contents of a picture file.
+    """The contents of a picture file."""
 
-    Attributes
-    ----------
-    codes : (h, w, 3) uint8 array
-        8-bit codes of the pixels: red, green and blue, as encoded with gamma.
-    note : str
-        How the file format altered the picture, as a predicate: "is a JPEG, which changes levels:
-        …".  Empty if it did not.
-    format_noise : int
-        Number of levels by which the file format may have altered the codes.
-    reencode : callable, optional
-        Saves codes (h, w, 3) in the format of the file, and returns the codes (h, w, 3) that are
-        read back.
-    """
-
-    codes: Codes
+    codes: Shaped[Codes, "h w 3"]  # red, green and blue, as encoded with gamma
+    # How the file format altered the picture, as a predicate: "is a JPEG, which changes levels: …".
+    # Empty if it did not.
     note: str = ""
-    format_noise: int = 0
+    format_noise: int = 0  # number of levels by which the file format may have altered the codes
+    # Saves codes in the format of the file, and returns the codes that are read back.
     reencode: Callable[[Codes], Codes] | None = None
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture file, blending transparent pixels with black.
-
-    Parameters
-    ----------
-    path : Path
-        A BMP, GIF, JPEG, PNG, PPM, TGA, TIFF or WEBP file.
-
-    Returns
-    -------
-    picture : Picture
-        The 8-bit codes of the pixels, and how the file format altered them.
+    """Read a BMP, GIF, JPEG, PNG, PPM, TGA, TIFF or WEBP file; blend transparent pixels with black.
 
     Raises
     ------
     Failure
-        If the file is missing, damaged, or not a picture in a known format; if the picture has more
-        than 9 million pixels, or colours that are not RGB, palette or grey; or if memory runs out.
+        If the file is missing, empty, damaged, or not a picture in a known format; if the picture
+        has more than 9 million pixels, or colours that are not RGB, palette or grey; or if memory
+        runs out.
     """
     # Pillow raises a SyntaxError for a damaged PNG.
     error_types = SyntaxError, ValueError
@@ -98,20 +79,7 @@ def read_picture(path: Path) -> Picture:
 
 
 def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
-    """Decode a picture file, and determine how its format altered the colours.
-
-    Parameters
-    ----------
-    image : ImageFile
-        The picture, opened with Pillow but not yet decoded.
-    path : Path
-        The picture's file.
-
-    Returns
-    -------
-    picture : Picture
-        The 8-bit codes of the pixels.  If the format altered them, also a note for the user, and
-        the number of levels by which they may have changed.
+    """Decode a picture file that is open, and determine how its format altered the colours.
 
     Raises
     ------
@@ -142,13 +110,7 @@ def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
 
 
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
-    """Test whether a picture file has more than the 8 bits per channel that Pillow keeps.
-
-    Parameters
-    ----------
-    image : ImageFile
-        The picture, opened with Pillow but not yet decoded.
-    """
+    """Test whether a picture file has more than the 8 bits per channel that Pillow keeps."""
     # The arguments of Pillow's decoder state a mode such as "RGB;16B", or a PPM's largest level.
     for codec, _, _, arguments in image.tile:
         is_ppm = codec.startswith("ppm")
@@ -159,18 +121,9 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
 
 
 def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Make a function that re-encodes pictures with the settings of a given JPEG.
+    """Make a function that saves codes as a JPEG in memory, and returns those read back.
 
-    Parameters
-    ----------
-    image : Image
-        The opened JPEG.  Its quantisation tables and chroma subsampling are used.
-
-    Returns
-    -------
-    reencode : callable
-        Function that saves the 8-bit codes (h, w, 3) of a picture as a JPEG in memory, and returns
-        the codes that are read back.
+    It has the quantisation tables and the chroma subsampling of the given JPEG.
     """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
@@ -191,30 +144,22 @@ def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
     return reencode
 
 
-def to_columns(codes: Codes) -> Codes:
+def to_columns(codes: Shaped[Codes, "h w 3"]) -> Shaped[Codes, "3 h*w"]:
     """Convert a picture (h, w, 3) to an array (3, h w) with one column per pixel."""
     return np.ascontiguousarray(codes.reshape(-1, 3).T)
 
 
-def to_picture(columns: Codes, width: int) -> Codes:
+def to_picture(columns: Shaped[Codes, "3 n"], width: int) -> Shaped[Codes, "h width 3"]:
     """Convert an array (3, n) with one column per pixel to a picture (n / width, width, 3)."""
     return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
-def compare_levels(first_codes: Codes, second_codes: Codes, axis: int = -2) -> Codes:
-    """Compute, for each pixel of two pictures, the largest difference in any channel.
+def compare_levels(
+    first_codes: Shaped[Codes, "..."], second_codes: Shaped[Codes, "..."], axis: int = -2
+) -> Shaped[Codes, "..."]:
+    """Compute, for each pixel of two pictures, the largest difference in any channel, in levels.
 
-    Parameters
-    ----------
-    first_codes, second_codes : (..., 3, n) or (h, w, 3) uint8 arrays
-        8-bit codes of the two pictures.
-    axis : int
-        The axis of the channels: -2 for arrays (..., 3, n), 2 for arrays (h, w, 3).
-
-    Returns
-    -------
-    levels : (..., n) or (h, w) uint8 array
-        The absolute differences, in levels (units of the codes).
+    `axis` is that of the channels: -2 for arrays (..., 3, n), 2 for arrays (h, w, 3).
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)

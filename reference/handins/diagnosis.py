@@ -93,22 +93,14 @@ class Diagnosis:
         """Return a copy with one more mistake at the beginning of each cause.
 
         If the diagnosis was that the picture is right, the mistake becomes the only cause.
-
-        Parameters
-        ----------
-        keyword, sentence : str
-            Keyword of the mistake, and the sentence that describes it.
         """
         causes = ({},) if self.kind in AGREEING_KINDS else self.causes
         return replace(self, causes=tuple({keyword: sentence} | cause for cause in causes))
 
     def sort_by_frequency(self, cause_counts: Counter[str]) -> Diagnosis:
-        """Return a copy with the causes sorted by frequency, the most frequent first.
+        """Return a copy with the most frequent causes first.
 
-        Parameters
-        ----------
-        cause_counts : Counter of str
-            The frequency of each cause.  A key consists of the cause's keywords, joined by ``+``.
+        The keys of `cause_counts` are keywords, joined by ``+``.
         """
         causes = sorted(self.causes, key=lambda cause: -cause_counts["+".join(cause)])
         return replace(self, causes=tuple(causes))
@@ -122,42 +114,25 @@ def make_verdict(keyword: str, sentence: str) -> Diagnosis:
 class Reference:
     """A scene or a reference picture to compare students' pictures with.
 
-    Parameters
-    ----------
-    source : Scene or Picture
-        The scene; or, if there is no scene, the reference picture.
-    name : str
-        The scene's file name as typed on a command line; it appears in reports.
-
-    Attributes
-    ----------
-    scene : Scene or None
-        None if only a reference picture is known.
-    picture : Picture
-        The reference picture.
-    codes : (h, w, 3) uint8 array
-        The codes of the reference picture.
+    `name` is the scene's file name as typed on a command line; it appears in reports.
     """
+
+    name: str
+    scene: Scene | None  # None if only a reference picture is known
+    picture: Picture
+    codes: Shaped[Codes, "h w 3"]
 
     def __init__(self, source: Scene | Picture, name: str = "") -> None:
         self.name, self.scene = name, source if isinstance(source, Scene) else None
         self.picture = Picture(_render_codes(source)) if isinstance(source, Scene) else source
-        self.codes: Codes = self.picture.codes
+        self.codes = self.picture.codes
         # Cache only two renderers: those for all picture sizes in a class would fill the memory.
         self._get_renderer = lru_cache(maxsize=2)(self._make_renderer)
 
     def _make_renderer(self, height: int, width: int) -> MistakeRenderer:
         """Create the renderer that simulates mistakes in pictures of one size.
 
-        Parameters
-        ----------
-        height, width : int
-            Size of the pictures in pixels; without a scene, the size of the reference picture.
-
-        Returns
-        -------
-        MistakeRenderer
-            Renders the scene with mistakes; without a scene, alters the reference picture.
+        Without a scene, it alters the reference picture, whose size must be given.
         """
         codes = self.codes
         if not self.scene:
@@ -171,16 +146,8 @@ class Reference:
     def diagnose(self, picture: Picture) -> Diagnosis:
         """Find the mistakes that explain a submitted picture, or describe where it is wrong.
 
-        Parameters
-        ----------
-        picture : Picture
-            The submitted picture.  A wrong size is reported as a mistake.  A picture turned by 90
-            degrees is turned back and then diagnosed.
-
-        Returns
-        -------
-        Diagnosis
-            The mistakes, or a verdict such as "identical" or "unknown".
+        A wrong size is reported as a mistake.  A picture turned by 90 degrees is turned back and
+        then diagnosed.
         """
         (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == reference_size:
@@ -209,16 +176,7 @@ class Reference:
     def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
         """Diagnose a submitted picture by comparing it with a reference picture of the same size.
 
-        Parameters
-        ----------
-        picture : Picture
-            The submitted picture.  If `self.scene` is None, it must have the size of the reference
-            picture.
-
-        Returns
-        -------
-        Diagnosis
-            The mistakes, or a verdict such as "identical" or "unknown".
+        Without a scene, it must have the size of the reference picture.
         """
         codes, renderer = picture.codes, self._get_renderer(*picture.codes.shape[:2])
         agreement = diagnose_agreement(to_columns(codes), renderer.reference_codes)
@@ -245,21 +203,7 @@ class Reference:
         return self._diagnose_unknown(submission, finding)
 
     def _diagnose_unknown(self, submission: Submission, finding: Finding) -> Diagnosis:
-        """Describe a picture that no known mistake explains.
-
-        Parameters
-        ----------
-        submission : Submission
-            The submitted picture, and its wrong pixels.
-        finding : Finding
-            The result of the search.  It has no cause, but may have a hint: the mistakes that come
-            closest to explaining the picture.
-
-        Returns
-        -------
-        Diagnosis
-            A diagnosis of the kind "unknown", which describes the hint and the wrong pixels.
-        """
+        """Describe a picture that no known mistake explains: the nearest, and the wrong pixels."""
         if not submission.clearly_wrong_count:
             clause = symptoms.format_count(submission.wrong_count, "is", "are")
             return make_verdict(UNKNOWN, f"{clause} one level off; no known mistake does this.")
@@ -287,23 +231,11 @@ class Reference:
         return f"{count_text}, most on {regions[0].name}{regions[0].note}."
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
-        """Describe where a submitted picture differs from the reference picture.
+        """Describe in one or more sentences where a submitted picture differs.
 
-        The text names the surfaces with the most wrong pixels.  If there is no hint and the
-        background is nearly right, it also names the worst pixel, and any lights that wrongly shine
-        or fail to shine.  If the scene is unknown, it names only the worst pixel.
-
-        Parameters
-        ----------
-        submission : Submission
-            The submitted picture, and the renderer of its scene.
-        hint : tuple of str
-            Keywords of the mistakes that come closest to explaining the picture; may be empty.
-
-        Returns
-        -------
-        str
-            The description: one or more sentences.
+        They name the surfaces with the most wrong pixels.  If there is no hint and the background
+        is nearly right, they also name the worst pixel, and any lights that wrongly shine or fail
+        to shine.  If the scene is unknown, they name only the worst pixel.
         """
         renderer = submission.renderer
         both_codes = submission.codes, renderer.reference_codes
@@ -383,22 +315,12 @@ def _describe_wrong_surfaces(
     return ", ".join(phrases)
 
 
-def _describe_light_errors(scene: Scene, submission: Submission, is_wrong: Array) -> str:
+def _describe_light_errors(
+    scene: Scene, submission: Submission, is_wrong: Shaped[Bools, "n"]
+) -> str:
     """Describe the lights that wrongly shine, or fail to shine, on many of the wrong pixels.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    submission : Submission
-        The submitted picture, and the renderer of its scene.
-    is_wrong : (n,) bool array
-        True for pixels that differ from the reference picture by more than one level.
-
-    Returns
-    -------
-    str
-        One sentence for each of these lights, preceded by a space; empty if there are none.
+    Each sentence is preceded by a space.
     """
     faults = "should shine but does not", "should be blocked but shines"
     sentences = ""
@@ -410,7 +332,7 @@ def _describe_light_errors(scene: Scene, submission: Submission, is_wrong: Array
     return sentences
 
 
-def _render_codes(scene: Scene) -> Codes:
+def _render_codes(scene: Scene) -> Shaped[Codes, "h w 3"]:
     """Render a scene as 8-bit codes (h, w, 3), and suppress warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -418,14 +340,8 @@ def _render_codes(scene: Scene) -> Codes:
     return codes
 
 
-def _find_visible_surfaces(scene: Scene) -> Array:
-    """Find the surface that is visible in each of the n pixels of a scene's picture.
-
-    Returns
-    -------
-    surface_index : (n,) int32 array
-        Index of the surface in each pixel, row by row; -1 for the background.
-    """
+def _find_visible_surfaces(scene: Scene) -> Shaped[Array, "n"]:
+    """Find the surface that is visible in each pixel, row by row; -1 for the background."""
     surface_index = np.empty(scene.width * scene.height, dtype=np.int32)
     for start in range(0, len(surface_index), MAX_PIXELS):
         pixel_index = np.arange(start, min(start + MAX_PIXELS, len(surface_index)))
@@ -434,37 +350,21 @@ def _find_visible_surfaces(scene: Scene) -> Array:
     return surface_index
 
 
-def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]:
-    """Find the pixel where two pictures differ most.
-
-    Parameters
-    ----------
-    first_codes, second_codes : (h, w, 3) uint8 arrays
-        8-bit codes of the pictures.
-
-    Returns
-    -------
-    column, row : int
-    """
+def find_worst_pixel(
+    first_codes: Shaped[Codes, "h w 3"], second_codes: Shaped[Codes, "h w 3"]
+) -> tuple[int, int]:
+    """Find the column and the row of the pixel where two pictures differ most."""
     differences = compare_levels(first_codes, second_codes, axis=2)
     row, column = np.unravel_index(differences.argmax(), differences.shape)
     return int(column), int(row)
 
 
-def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
-    """Diagnose a submitted picture that agrees with the reference picture, except for rounding.
+def diagnose_agreement(
+    submitted_codes: Shaped[Codes, "3 n"], reference_codes: Shaped[Codes, "3 n"]
+) -> Diagnosis | None:
+    """Diagnose a picture that is "identical" or differs by "rounding"; None if it does neither.
 
-    Pictures agree if they differ by at most one level, and only in a few pixels.
-
-    Parameters
-    ----------
-    submitted_codes, reference_codes : (3, n) uint8 arrays
-        8-bit codes of the n pixels of the two pictures.
-
-    Returns
-    -------
-    Diagnosis or None
-        A diagnosis of the kind "identical" or "rounding"; None if the pictures do not agree.
+    Rounding is a difference of at most one level, only in a few pixels.
     """
     differences = compare_levels(submitted_codes, reference_codes)
     count = int(np.count_nonzero(differences))
@@ -476,19 +376,8 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     return None
 
 
-def diagnose_single_color(codes: Codes) -> Diagnosis | None:
-    """Diagnose a picture that has the same colour everywhere.
-
-    Parameters
-    ----------
-    codes : (h, w, 3) uint8 array
-        8-bit codes of the picture.
-
-    Returns
-    -------
-    Diagnosis or None
-        A diagnosis of the kind "black" or "flat"; None if the picture has several colours.
-    """
+def diagnose_single_color(codes: Shaped[Codes, "h w 3"]) -> Diagnosis | None:
+    """Diagnose a picture that is "black" or "flat"; None if it has several colours."""
     if np.ptp(codes, axis=(0, 1)).any():
         return None
     if codes.any():
@@ -497,20 +386,10 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
 
 
 def _format_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
-    """Format the sentences that describe the mistakes of a cause.
+    """Format the sentences that describe the mistakes of a cause, by keyword.
 
-    Parameters
-    ----------
-    cause : tuple of str
-        Keywords of mistakes that are made together.
-    submission : Submission
-        The submitted picture, and the renderer of its scene.
-
-    Returns
-    -------
-    dict of str to str
-        The sentences by keyword.  Placeholders such as ``{fitted_gamma}`` are replaced with numbers
-        estimated from the submitted picture.
+    Placeholders such as ``{fitted_gamma}`` are replaced with numbers estimated from the submitted
+    picture.
     """
     formulas = submission.renderer.get_formulas(cause)
 
@@ -522,18 +401,10 @@ def _format_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     return {key: re.sub(r"\{(\w+)\}", format_number, mistakes[key].sentence) for key in cause}
 
 
-def _describe_brightness(differences: Array) -> str:
-    """Describe whether nearly all wrong pixels of a region are too bright, or too dark.
+def _describe_brightness(differences: Shaped[Array, "3 n"]) -> str:
+    """Return " (brighter)" or " (darker)" if nearly all wrong pixels are so; otherwise "".
 
-    Parameters
-    ----------
-    differences : (3, n) int array
-        Submitted minus reference codes of the region's n wrong pixels.
-
-    Returns
-    -------
-    str
-        " (brighter)" or " (darker)"; empty if neither applies.
+    `differences` are submitted minus reference codes.
     """
     if (differences >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"

@@ -46,6 +46,10 @@ _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0
 # Maximum number of places at which to look for the reference picture in a larger picture, and
 # maximum share of its pixels that may differ by more than one level there.
 _MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
+# At an edge, neighbouring pixels differ by more than this many levels.
+_MIN_EDGE_LEVELS = 24
+# Antialiasing changes at least this share of the pixels at edges.
+_MIN_SMOOTHED_SHARE = 0.25
 # Sides of tiles in which pictures are rendered, in pixels.
 _TILE_SIDES = (128, 100, 64, 50, 32, 25, 20, 16, 10, 8)
 # A palette has at most this many colours, and changes levels by at most this much.
@@ -308,7 +312,8 @@ def is_smoothed(
     """Test whether a picture is the reference picture, antialiased or blurred.
 
     All codes then lie between those of the neighbouring pixels, within one level, and many lie
-    strictly between them.
+    strictly between them.  Many pixels at edges change; in a picture whose highlights are a little
+    off, these do not.
     """
     neighbours = np.pad(reference_codes.astype(np.int16), ((1, 1), (1, 1), (0, 0)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(neighbours, (3, 3), axis=(0, 1))
@@ -316,8 +321,11 @@ def is_smoothed(
     is_between = (submitted_codes >= low - 1) & (submitted_codes <= high + 1)
     is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
     is_strictly_between = ((submitted_codes > low + 1) & (submitted_codes < high - 1)).any(axis=2)
+    is_edge = (high - low > _MIN_EDGE_LEVELS).any(axis=2)
     return bool(
         is_wrong.any()
+        and is_edge.any()
+        and is_wrong[is_edge].mean() >= _MIN_SMOOTHED_SHARE
         and is_between.all(axis=2).mean() >= 1 - _MAX_WRONG_SHARE
         and is_strictly_between[is_wrong].mean() >= _MIN_SAME_SHARE
     )

@@ -36,6 +36,7 @@ NO_FALSE_ALARM = [
     ("four-spheres", "image[mine] = color", "image[mine] = color * (dot(n, -ray) < 0.3)[:, None]"),
     # The shading is a little off: no rounding, and no gamma.
     ("highlights", "KS * shine", "1.05 * KS * shine"),
+    ("four-spheres", "KS * shine", "1.05 * KS * shine"),
     ("highlights", "** EXPONENT", "** (EXPONENT + 0.5)"),
     ("two-boxes", "return codes", "return np.maximum(codes, 2) - np.uint8(2)"),
 ]
