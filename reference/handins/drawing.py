@@ -164,14 +164,14 @@ class FormulaCache:
         return index_by_name
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
-        """Test whether the inputs of this cache suffice to compute the codes of a picture.
+        """Test whether the inputs of this cache suffice to compute a picture and its replacements.
 
         Parameters
         ----------
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._add_recipes(replacements)
+        return self._add_recipes(replacements).keys() >= {"codes", *replacements}
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
         """Return the value of a formula for all n pixels of this cache.
