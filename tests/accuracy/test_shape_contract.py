@@ -186,6 +186,31 @@ def test_ranges_of_rows_are_exact(shape_type: type[Shape], seed: int) -> None:
 @EACH_SHAPE
 @EACH_SEED
 @np.errstate(all="ignore")
+def test_the_ends_of_a_row_bound_its_hits(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    if not shape.are_rows_bounded_by_ends():
+        return  # nothing is promised
+    frame, hit_count = shape.frame, 0
+    ray_x = frame.to_ray_x(np.arange(0, frame.width, 0.25))
+    for object_index in objects[:, None]:
+        for ray_y in frame.to_ray_y(np.arange(0.5, frame.height)).reshape(-1, 1):
+            t, hit_data = shape.intersect(object_index, ray_y, ray_x, np.array([ray_x.size]))
+            to_hit = t * np.array(np.broadcast_arrays(ray_x, ray_y, frame.depth))
+            for face in np.unique(hit_data) if shape.has_planar_faces else [None]:
+                index = find((t < np.inf) & (face is None or hit_data == face))
+                hits = to_hit[:, index]
+                hit_count += index.size
+                for ends in (slice(0, None), slice(0, 5), slice(-7, None)):
+                    row = hits[:, ends]
+                    center = (row[:, :1] + row[:, -1:]) / 2
+                    distance = np.sqrt(((row - center) ** 2).sum(axis=0))
+                    assert (distance <= (1 + 1e-12) * distance[:1] + 1e-12).all()
+    assert hit_count > 0
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
 def test_tangent_planes_and_faces_agree_with_hits(shape_type: type[Shape], seed: int) -> None:
     shape, objects = prepare(shape_type, seed)
     ray_x, ray_y, t, hit_data = trace(shape, objects, seed)

@@ -186,6 +186,9 @@ class Boxes(Shape):
         low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
         return np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
 
+    def are_rows_bounded_by_ends(self) -> bool:
+        return True  # the hits of a row on one face lie on a straight line
+
     # Tests of shadow segments: segments from hits to lights.
 
     def get_corners(

@@ -162,6 +162,14 @@ class Shape(ABC):
         Pass the vectors from the eye to the hits, in camera axes, and the results of `intersect`.
         """
 
+    def are_rows_bounded_by_ends(self) -> bool:
+        """Test whether the first and the last hit of a row bound the hits between them.
+
+        If true, take any hits on one face that are consecutive in one row of the picture: the
+        sphere whose diameter leads from the first hit to the last contains all of them.
+        """
+        return False
+
     # Tests of shadow segments.
 
     @abstractmethod

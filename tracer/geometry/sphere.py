@@ -197,6 +197,10 @@ class Spheres(Shape):
             face_position=no_number,
         )
 
+    def are_rows_bounded_by_ends(self) -> bool:
+        # From outside, the hits of a row lie on an arc of less than half a circle.
+        return not self.is_eye_inside.any()
+
     # Tests of shadow segments.
 
     def find_light_side(

@@ -71,6 +71,7 @@ from tracer.arrays import (
 from tracer.geometry.rounding import ON
 from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits
+from tracer.trace.samples import Scattered
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights
 
@@ -429,9 +430,15 @@ def _compute_bounding_spheres(
 
     A group ends before the first hit of the next group.
     """
-    # The sphere encloses the bounding box of the hits.
-    corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
-    opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
+    if hits.scene.are_rows_bounded_by_ends and not isinstance(hits.samples, Scattered):
+        # On usual pictures, this takes 0.8 times the time that the minima and maxima would take.
+        last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
+        corner = hits.from_eye.take(first_hit, axis=1)
+        opposite_corner = hits.from_eye.take(last_hit, axis=1)
+    else:
+        # The sphere encloses the bounding box of the hits.
+        corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
+        opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)
     center = hits.scene.frame.point_to_scene(take(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))

@@ -89,6 +89,7 @@ class PreparedScene:
     frame: CameraFrame
     shapes: tuple[Shape, ...]  # those with at least one object, in the order of their indices
     bounds: ScreenBounds  # of all objects
+    are_rows_bounded_by_ends: bool  # for all shapes: see the method of `Shape`
     is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
     # Whether the object equals an object earlier in the file.  A duplicate is never visible, and
@@ -119,6 +120,9 @@ class PreparedScene:
         shapes = [shape.from_surfaces(self.frame, self.surfaces) for shape in SHAPES]
         self._all_shapes = shapes
         self.shapes = tuple(shape for shape in shapes if shape.objects.size)
+        self.are_rows_bounded_by_ends = all(
+            shape.are_rows_bounded_by_ends() for shape in self.shapes
+        )
         self.is_eye_inside = np.concatenate([shape.is_eye_inside for shape in shapes])
         self.curvature = np.concatenate([shape.curvature for shape in shapes])
         coordinate_bound = np.concatenate([shape.coordinate_bound for shape in shapes])
