@@ -24,18 +24,20 @@ rectangle
     and the minimum and maximum of v, in octahedral coordinates or, in `relative_rectangles`, in
     coordinates that run from 0 to 1 across the patch.
 direction bounds
-    Eight numbers for an entry, or for a ball in one octant: see `_bound_directions`.
+    For an entry, or for a ball in one octant, the range of the distances from the light, and ranges
+    of the ratios of the vectors' components, which correspond to planes through the light.
 
 An entry is listed in all cells that its rectangle overlaps.  The rectangle of a ball overlaps
 several cells, too, so the query may find an entry several times.
 
 Rectangles are loose bounds for long objects.  So the query also compares the direction bounds of
-the entry and the ball: the range of their distances from the light, and ranges of the ratios of the
-vectors' components, which correspond to planes through the light.
+the entry and the ball.
 
-All bounds are computed by interval arithmetic on bounding boxes.  The light may be outside, on or
-inside a box.  All bounds are widened by more than their rounding errors.  So the query excludes
-only objects that cannot lie between the ball and the light.
+All bounds are computed by interval arithmetic on bounding boxes.  Each ratio has the form
+a / (a + b) with a, b >= 0.  It increases with a and decreases with b, so it is least for the
+smallest a and the largest b.  The light may be outside, on or inside a box.  All bounds are widened
+by more than their rounding errors.  So the query excludes only objects that cannot lie between the
+ball and the light.
 
 All positions are in scene axes.
 """
@@ -46,7 +48,7 @@ from collections.abc import Iterator
 from itertools import product
 from math import sqrt
 from typing import Annotated as Shaped
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,26 +96,54 @@ _MAX_LIGHT_DISTANCE = 2.0**22
 # Eight bools that are all True, read as one integer.
 _EIGHT_TRUE = 0x0101010101010101
 
-# Minimum and maximum of a quantity.
-_Interval: TypeAlias = tuple[Shaped[Floats, "m"], Shaped[Floats, "m"]]
+# Row of the direction bounds that contains the minimum distance from the light.
+_MIN_DISTANCE_ROW = 7
+
+
+class _Parts(NamedTuple):
+    """Boxes of vectors to lights, split by octant: the vectors of each part lie in one octant."""
+
+    # Index, octant * lights + light, of the octant of one light; ascends.
+    octant_index: Shaped[Ints, "parts"]
+    box_index: Shaped[Ints, "parts"]  # index in the flattened (lights, n) array of boxes
+    rectangles: Shaped[Floats, "4 parts"]  # minimum and maximum of u, then of v
+    bounds: Shaped[Floats, "8 parts"]  # direction bounds: see `_bound_directions`
+
+
+class _Range(NamedTuple):
+    """Smallest and largest absolute values of one component of the vectors in each part."""
+
+    low: Shaped[Floats, "parts"]
+    high: Shaped[Floats, "parts"]  # above 0, so no bound is 0 / 0
+
+
+class Patches(NamedTuple):
+    """The patches of the octants that contain objects that the camera may see."""
+
+    # Element octant * lights + light is the index of the patch in this octant of the light; -1 if
+    # the octant has no patch.
+    of_octant: Shaped[Ints, "octants"]
+    origin: Shaped[Floats, "2 patches"]  # smallest u and v
+    size: Shaped[Floats, "2 patches"]  # width in u and in v
+
+    def to_relative(
+        self, rectangles: Shaped[Floats, "4 n"], patch_index: Shaped[Ints, "n"]
+    ) -> Shaped[Floats, "4 n"]:
+        """Convert rectangles to coordinates that run from 0 to 1 across their patches."""
+        origin = self.origin.take(patch_index, axis=1)
+        size = self.size.take(patch_index, axis=1)
+        return ((rectangles.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
 
 
 class LightGrid(NamedTuple):
-    """Lists of objects by their direction from each light.
-
-    The fields are in the order in which a query uses them.
-    """
+    """Lists of objects by their direction from each light."""
 
     # Distant lights are moved closer: see `_MAX_LIGHT_DISTANCE`.
     light_position: Shaped[Floats, "3 lights 1"]
-    # Element octant * lights + light is the index of the patch in this octant of the light, or -1
-    # if the octant contains no object that the camera may see.
-    patch_of_octant: Shaped[Ints, "8*lights"]
-    patch_origin: Shaped[Floats, "2 patches"]  # smallest u and v
-    patch_size: Shaped[Floats, "2 patches"]  # width in u and in v
+    patches: Patches
     cells_per_side: int
     # Position in `listed_entry` where the list of each cell begins.
-    list_start: Shaped[NDArray[np.uint32], "patches*cells_per_side**2+1"]
+    list_start: Shaped[NDArray[np.uint32], "cells+1"]
     # Indices of the entries in all lists, cell by cell.
     listed_entry: Shaped[NDArray[np.uint32], "listed"]
     # Direction bounds, arranged so that an entry may block segments from a ball only if each of
@@ -146,33 +176,51 @@ class LightGrid(NamedTuple):
         ball_count = own_object_index.size
         # The vectors from a ball to a light fill a box, which is split into up to eight parts.
         to_light = self.light_position - centers[:, None]
-        octant_index, box_index, rectangles, bounds = _split_by_octant(
-            to_light - radii, to_light + radii, self.patch_of_octant, is_active
+        parts = _split_by_octant(
+            to_light - radii, to_light + radii, self.patches.of_octant >= 0, is_active
         )
-        # An object may extend beyond the ball, so its maximum distance from the light is not used.
-        bounds[7] = -np.inf
-        bounds = np.ascontiguousarray(bounds.T)
-        patch_index = self.patch_of_octant.take(octant_index)
-        rectangles = _map_to_patch(rectangles, patch_index, self.patch_origin, self.patch_size)
+        for part_index, entry_index in self._match_entries(parts):
+            light_index, ball_index = np.divmod(parts.box_index.take(part_index), ball_count)
+            occluder_index = self.entry_object.take(entry_index)
+            kept_index = find(occluder_index != own_object_index.take(ball_index))
+            rows = light_index, ball_index, occluder_index
+            yield np.array([row.take(kept_index) for row in rows])
+
+    def _match_entries(
+        self, parts: _Parts
+    ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[Ints, "k"]]]:
+        """Yield indices of parts of balls, and of listed entries whose direction bounds match.
+
+        Within a batch, no pair occurs twice, even if a part and an entry have several cells in
+        common.
+        """
+        # An occluder may be closer to the light than all of the ball.  So the minimum distance of
+        # the ball excludes nothing.
+        part_bounds = parts.bounds.T.copy()
+        part_bounds[:, _MIN_DISTANCE_ROW] = -np.inf
         entry_count = self.entry_object.size
+        for part_index, entry_index in self._list_entries(parts):
+            meets_bound = self.entry_bounds.take(entry_index, 0) >= part_bounds.take(part_index, 0)
+            # The same as meets_bound.all(axis=1), but much faster.
+            match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
+            match_part, match_entry = part_index.take(match_index), entry_index.take(match_index)
+            pair_key = np.unique(match_part * entry_count + match_entry)
+            distinct_part, distinct_entry = np.divmod(pair_key, entry_count)
+            yield distinct_part, distinct_entry
+
+    def _list_entries(
+        self, parts: _Parts
+    ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
+        """Yield, in batches, the index of each part with all entries listed in its cells."""
+        patch_index = self.patches.of_octant.take(parts.octant_index)
+        rectangles = self.patches.to_relative(parts.rectangles, patch_index)
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
         for part_index, cell_index in overlaps:
-            starts = self.list_start.take(cell_index).astype(np.intp)
-            lengths = self.list_start.take(cell_index + 1) - starts
-            for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
-                pair_part = part_index[batch].repeat(lengths[batch])
-                pair_entry = self.listed_entry.take(join_ranges(lengths[batch], starts[batch]))
-                meets_bound = self.entry_bounds.take(pair_entry, 0) >= bounds.take(pair_part, 0)
-                # The same as meets_bound.all(axis=1), but much faster.
-                match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
-                # A part and an entry may have several cells in common.
-                pair_key = pair_part.take(match_index) * entry_count + pair_entry.take(match_index)
-                match_part, match_entry = np.divmod(np.unique(pair_key), entry_count)
-                light_index, ball_index = np.divmod(box_index.take(match_part), ball_count)
-                occluder_index = self.entry_object.take(match_entry)
-                kept_index = find(occluder_index != own_object_index.take(ball_index))
-                rows = light_index, ball_index, occluder_index
-                yield np.array([row.take(kept_index) for row in rows])
+            start = self.list_start.take(cell_index).astype(np.intp)
+            length = self.list_start.take(cell_index + 1) - start
+            for batch in split_by_size(length, _PAIRS_PER_BATCH):
+                entry_index = self.listed_entry.take(join_ranges(length[batch], start[batch]))
+                yield part_index[batch].repeat(length[batch]), entry_index
 
 
 def build_light_grid(
@@ -204,61 +252,58 @@ def build_light_grid(
     # Bounds on the vectors from the points of each object to each light.
     vector_min = (near_position - vector_error) - box_max[:, None]
     vector_max = (near_position + vector_error) - box_min[:, None]
-    octant_count = 8 * light_count
-    every_octant, every_box = np.zeros(octant_count, dtype=np.intp), np.array([[True]])
-    parts = _split_by_octant(vector_min, vector_max, every_octant, every_box)
-    octant_index, box_index, rectangles, bounds = parts
-    object_index = box_index % object_count
-    visible_part = find(is_visible[object_index])
-    patch_of_octant, patch_origin, patch_size = _choose_patches(
-        octant_index[visible_part], rectangles[:, visible_part], octant_count
+    parts = _split_by_octant(
+        vector_min,
+        vector_max,
+        has_patch=np.ones(8 * light_count, dtype=np.bool_),
+        is_active=np.array([[True]]),
     )
-    patch_index = patch_of_octant[octant_index]
+    object_index = parts.box_index % object_count
+    visible_part = find(is_visible[object_index])
+    patches = _choose_patches(
+        parts.octant_index[visible_part], parts.rectangles[:, visible_part], 8 * light_count
+    )
+    patch_index = patches.of_octant[parts.octant_index]
     entry_part = find((patch_index >= 0) & is_occluder[object_index])
-    # Swap and negate each pair of rows, so that each minimum of a ball is compared with the
-    # maximum of an entry, and vice versa.
-    entry_bounds = -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(entry_part, axis=1)
-    entry_bounds = np.ascontiguousarray(entry_bounds.T)
     entry_patch, entry_object = patch_index[entry_part], object_index[entry_part]
-    rectangles = rectangles.take(entry_part, axis=1)
+    entry_bounds = _reverse_bounds(parts.bounds.take(entry_part, axis=1))
+    rectangles = parts.rectangles.take(entry_part, axis=1)
     # Free arrays that are large if there are many objects.
-    del vector_min, vector_max, parts, octant_index, box_index, bounds, object_index, patch_index
-    rectangles = _map_to_patch(rectangles, entry_patch, patch_origin, patch_size)
-    patch_count = patch_origin.shape[1]
+    del vector_min, vector_max, parts, object_index, patch_index
+    rectangles = patches.to_relative(rectangles, entry_patch)
+    patch_count = patches.origin.shape[1]
     cells_per_side = _choose_cells_per_side(rectangles, object_count, light_count, patch_count)
     list_start, listed_entry = _build_lists(rectangles, entry_patch, cells_per_side, patch_count)
     return LightGrid(
         light_position=near_position,
-        patch_of_octant=patch_of_octant,
-        patch_origin=patch_origin,
-        patch_size=patch_size,
+        patches=patches,
         cells_per_side=cells_per_side,
         list_start=list_start,
         listed_entry=listed_entry,
-        entry_bounds=entry_bounds,
+        entry_bounds=np.ascontiguousarray(entry_bounds.T),
         entry_object=entry_object,
     )
 
 
 def _choose_patches(
     octant_index: Shaped[Ints, "n"], rectangles: Shaped[Floats, "4 n"], octant_count: int
-) -> tuple[Shaped[Ints, "octants"], Shaped[Floats, "2 patches"], Shaped[Floats, "2 patches"]]:
+) -> Patches:
     """Choose a patch for each octant that contains visible objects, from their rectangles.
 
-    The octant indices ascend.  The results are the fields of `LightGrid` from `patch_of_octant` to
-    `patch_size`.
+    The octant indices ascend.
     """
     octant_start, _ = find_runs(octant_index)
-    patch_of_octant = np.full(octant_count, -1)
-    patch_of_octant[octant_index[octant_start]] = np.arange(octant_start.size)
-    patches = []
+    of_octant = np.full(octant_count, -1)
+    of_octant[octant_index[octant_start]] = np.arange(octant_start.size)
+    origins, sizes = [], []
     for octant_rectangles in np.split(rectangles, octant_start[1:], axis=1):
         outlier_count = octant_rectangles.shape[1] // _OBJECTS_PER_OUTLIER
-        origin = np.partition(octant_rectangles[::2], outlier_count)[:, outlier_count]
-        end = np.partition(octant_rectangles[1::2], -1 - outlier_count)[:, -1 - outlier_count]
-        patches.append((origin, end - origin))
-    patch_origin, patch_size = np.array(patches).transpose(1, 2, 0)
-    return patch_of_octant, patch_origin, patch_size
+        sorted_minima = np.partition(octant_rectangles[::2], outlier_count)
+        sorted_maxima = np.partition(octant_rectangles[1::2], -1 - outlier_count)
+        origin = sorted_minima[:, outlier_count]
+        origins.append(origin)
+        sizes.append(sorted_maxima[:, -1 - outlier_count] - origin)
+    return Patches(of_octant=of_octant, origin=np.array(origins).T, size=np.array(sizes).T)
 
 
 def _move_far_lights(
@@ -287,75 +332,82 @@ def _move_far_lights(
 def _split_by_octant(
     vector_min: Shaped[Floats, "3 lights n"],
     vector_max: Shaped[Floats, "3 lights n"],
-    patch_of_octant: Shaped[Ints, "8*lights"],
+    has_patch: Shaped[Bools, "8*lights"],
     is_active: Shaped[Bools, "#lights #n"],
-) -> tuple[Shaped[Ints, "m"], Shaped[Ints, "m"], Shaped[Floats, "4 m"], Shaped[Floats, "8 m"]]:
+) -> _Parts:
     """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
     A box contains the vectors to one light whose x, y and z are in given ranges, so it has up to
     eight parts.  Boxes that are not active, and parts in octants without a patch, are skipped.
-
-    Returns
-    -------
-    octant_index
-        Index in `patch_of_octant` of each part's octant, in ascending order.
-    box_index
-        Index of each part's box in the flattened (lights, n) array of boxes.
-    rectangles, bounds
-        The rectangle and the direction bounds of each part.
     """
-    # `has_x` tells whether each box contains vectors with x >= 0 (row 0) and with x <= 0 (row 1).
-    has_x, has_y, has_z = np.moveaxis(np.array([vector_max >= 0, vector_min <= 0]), 1, 0)
-    has_part = [z & y & x & is_active for z, y, x in product(has_z, has_y, has_x)]
-    has_patch = (patch_of_octant >= 0).reshape(8, -1, 1)
-    part_index = find(np.array(has_part) & has_patch)
-    # Bit 0 of `sign_bits` is set if x is negative, bit 1 if y is, and bit 2 if z is.
-    octant_index, sign_bits = part_index // vector_min.shape[2], part_index // vector_min[0].size
-    box_index = part_index - sign_bits * vector_min[0].size
-    abs_ranges = []
-    for axis in range(3):
-        is_negative = (sign_bits >> axis & 1).astype(np.bool_)
-        axis_min, axis_max = vector_min[axis].take(box_index), vector_max[axis].take(box_index)
-        min_abs = np.maximum(np.where(is_negative, -axis_max, axis_min), 0)
-        # The addition keeps `max_abs` above 0, so no bound is 0 / 0.
-        max_abs = np.where(is_negative, -axis_min, axis_max) + MIN_DIVISOR
-        abs_ranges.append((min_abs, max_abs))
-    (min_x, max_x), (min_y, max_y), (min_z, max_z) = abs_ranges  # of |x|, |y| and |z|
-    min_u = min_x / (min_x + (max_y + max_z)) - DIRECTION_ROUNDING
-    max_u = max_x / (max_x + (min_y + min_z)) + DIRECTION_ROUNDING
-    min_v = min_y / (min_y + (max_x + max_z)) - DIRECTION_ROUNDING
-    max_v = max_y / (max_y + (min_x + min_z)) + DIRECTION_ROUNDING
-    rectangles = np.array([min_u, max_u, min_v, max_v])
-    return octant_index, box_index, rectangles, _bound_directions(*abs_ranges)
+    _, light_count, box_count = vector_min.shape
+    pair_count = light_count * box_count
+    # Row 0: whether each box contains vectors with x >= 0.  Row 1: the same for x <= 0.
+    has_x, has_y, has_z = np.array([vector_max >= 0, vector_min <= 0]).swapaxes(0, 1)
+    has_part = np.array([z & y & x & is_active for z, y, x in product(has_z, has_y, has_x)])
+    # The index of a part is (sign_bits * lights + light) * n + box.  Bit 0 of `sign_bits` is set if
+    # x is negative, bit 1 if y is, and bit 2 if z is.
+    part_index = find(has_part & has_patch.reshape(8, -1, 1))
+    sign_bits = part_index // pair_count
+    box_index = part_index - sign_bits * pair_count
+    x, y, z = (
+        _bound_component(
+            vector_min[axis].take(box_index),
+            vector_max[axis].take(box_index),
+            is_negative=(sign_bits >> axis & 1).astype(np.bool_),
+        )
+        for axis in range(3)
+    )
+    return _Parts(
+        octant_index=part_index // box_count,
+        box_index=box_index,
+        rectangles=np.array([*_bound_share(x, y, z), *_bound_share(y, x, z)]),
+        bounds=_bound_directions(x, y, z),
+    )
 
 
-def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Shaped[Floats, "8 m"]:
-    """Compute the direction bounds of m sets of vectors.
+def _bound_component(
+    low: Shaped[Floats, "parts"], high: Shaped[Floats, "parts"], is_negative: Shaped[Bools, "parts"]
+) -> _Range:
+    """Bound the absolute value of a component that lies between two bounds and has one sign."""
+    return _Range(
+        low=np.maximum(np.where(is_negative, -high, low), 0),
+        high=np.where(is_negative, -low, high) + MIN_DIVISOR,
+    )
+
+
+def _bound_share(
+    a: _Range, b: _Range, c: _Range
+) -> tuple[Shaped[Floats, "parts"], Shaped[Floats, "parts"]]:
+    """Compute the minimum and the maximum of a / (a + b + c): u or v, if a is |x| or |y|."""
+    min_share = a.low / (a.low + (b.high + c.high)) - DIRECTION_ROUNDING
+    max_share = a.high / (a.high + (b.low + c.low)) + DIRECTION_ROUNDING
+    return min_share, max_share
+
+
+def _bound_directions(x: _Range, y: _Range, z: _Range) -> Shaped[Floats, "8 parts"]:
+    """Compute the direction bounds of the vectors in each part.
 
     Here x, y and z are the absolute values of a vector's components, and x + y + z measures its
     length.  Rows 0 to 5 contain the minimum and the negated maximum of x / (x + y), of y / (y + z)
     and of z / (z + x).  Row 6 contains the negated maximum of x + y + z, and row 7 the minimum.
     Maxima are negated, so that all bounds are lower bounds.
     """
-    bounds = np.empty((8, x[0].size))
-    # Each pair consists of a component a and the next component b.
-    for pair_index, ((min_a, max_a), (min_b, max_b)) in enumerate(((x, y), (y, z), (z, x))):
-        bounds[2 * pair_index] = min_a / (min_a + max_b) - DIRECTION_ROUNDING
-        bounds[2 * pair_index + 1] = -(max_a / (max_a + min_b)) - DIRECTION_ROUNDING
-    bounds[6] = -(1 + POSITION_ROUNDING) * (x[1] + y[1] + z[1])
-    bounds[7] = (1 - POSITION_ROUNDING) * (x[0] + y[0] + z[0])
+    bounds = np.empty((8, x.low.size))
+    for pair_index, (a, b) in enumerate(((x, y), (y, z), (z, x))):
+        bounds[2 * pair_index] = a.low / (a.low + b.high) - DIRECTION_ROUNDING
+        bounds[2 * pair_index + 1] = -(a.high / (a.high + b.low)) - DIRECTION_ROUNDING
+    bounds[6] = -(1 + POSITION_ROUNDING) * (x.high + y.high + z.high)
+    bounds[_MIN_DISTANCE_ROW] = (1 - POSITION_ROUNDING) * (x.low + y.low + z.low)
     return bounds
 
 
-def _map_to_patch(
-    rectangles: Shaped[Floats, "4 n"],
-    patch_index: Shaped[Ints, "n"],
-    origins: Shaped[Floats, "2 patches"],
-    sizes: Shaped[Floats, "2 patches"],
-) -> Shaped[Floats, "4 n"]:
-    """Convert rectangles to coordinates that run from 0 to 1 across their patches."""
-    origins, sizes = origins.take(patch_index, axis=1), sizes.take(patch_index, axis=1)
-    return ((rectangles.reshape(2, 2, -1) - origins[:, None]) / sizes[:, None]).reshape(4, -1)
+def _reverse_bounds(bounds: Shaped[Floats, "8 n"]) -> Shaped[Floats, "8 n"]:
+    """Swap and negate each pair of a minimum and a negated maximum.
+
+    Then each minimum of a ball is compared with the maximum of an entry, and vice versa.
+    """
+    return -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1)
 
 
 def _choose_cells_per_side(
