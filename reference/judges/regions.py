@@ -76,43 +76,35 @@ def enclose_in_strips(
     enough to allow for the error bound and the curvature of the function.  An edge function without
     a zero in its cell may get no strip.
     """
-    constant, slope_x, slope_y, coef_xx, coef_xy, coef_yy, *_ = functions.coefficients
-    # Compute the value and the gradient (a, b) at a point (x, y).  The closer the point is to a
-    # zero, the narrower is the strip.
-    x, y = _take_newton_step(functions.coefficients[:X_SQUARED])
-    value = constant + slope_x * x + slope_y * y
-    value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
-    a = slope_x + 2 * coef_xx * x + coef_xy * y
-    b = slope_y + coef_xy * x + 2 * coef_yy * y
-    slope = np.hypot(a, b)
-    p, q = a / slope, b / slope
-    # Relative to the point (x, y), let n be the coordinate along the gradient (p, q), and t the one
-    # along (-q, p).  With the second derivatives f_tt, f_tn and f_nn, the function is
-    #     value + slope n + f_tn t n + f_nn n^2 / 2 + f_tt t^2 / 2.
-    f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
-    f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
-    f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
-    half_extent = np.abs(p) + np.abs(q)  # half the extent of the cell, along t and along n
-    max_t = half_extent + np.abs(p * y - q * x)
-    max_n = half_extent + np.abs(p * x + q * y)
-    # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
-    max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
-    # The last term differs from f_tt max_t^2 / 6 by at most |f_tt| max_t^2 / 3.
-    value += f_tt * max_t * max_t / 6
-    deviation = np.abs(f_tt) * max_t * max_t / 3 + functions.max_deviation
-    # If the function is 0, |value + slope n (1 + e)| is at most the deviation.  Then
-    # |value + slope n| is at most the deviation plus the following bound on |slope n e|.
-    max_change = (np.abs(value) + deviation) * max_e / (1 - max_e)
-    half_width = np.where(max_e < 1, deviation + max_change, np.inf)
-    # The coefficients of the centre line are scaled so that |a| + |b| = 1.
-    scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
-    center_line = np.array([a, b, value - a * x - b * y]) * scale
+    expansions = _expand_near_zeros(functions)
+    constant, half_width = _bound_linear_part(functions, expansions)
+    # The linear part is constant + gradient_x (X - x) + gradient_y (Y - y).  Scale its coefficients
+    # so that |a| + |b| = 1.
+    x, y, _, gradient_x, gradient_y = expansions
+    is_negative = (gradient_x < 0) | ((gradient_x == 0) & (gradient_y < 0))
+    scale = np.where(is_negative, -1, 1) / (np.abs(gradient_x) + np.abs(gradient_y))
+    c = constant - gradient_x * x - gradient_y * y
+    center_line = np.array([gradient_x, gradient_y, c]) * scale
     # If there is no gradient, the strip is the whole cell.
     is_flat = ~np.isfinite(scale)
     center_line[:, is_flat] = [[1], [0], [0]]
     half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
-    # The other strips miss the cell.
-    kept_index = np.flatnonzero(~(np.abs(center_line[2]) - half_width >= 1))
+    return _make_strips_in_cells(cell_index, center_line, half_width, jump)
+
+
+def _make_strips_in_cells(
+    cell_index: Shaped[Ints, "n"],
+    center_line: Shaped[Floats, "3 n"],
+    half_width: Shaped[Floats, "n"],
+    jump: Shaped[Floats, "n"],
+) -> Strips:
+    """Sort strips by cell, without those that lie outside their cell.
+
+    The rows of `center_line` are the coefficients a, b and c (see `Strips`).
+    """
+    # In the cell, |a X + b Y| is at most 1.
+    is_outside = np.abs(center_line[2]) - half_width >= 1
+    kept_index = np.flatnonzero(~is_outside)
     kept_index = kept_index[np.argsort(cell_index[kept_index], kind="stable")]
     a, b, c = center_line[:, kept_index]
     return Strips(
@@ -125,19 +117,85 @@ def enclose_in_strips(
     )
 
 
+class _Expansions(NamedTuple):
+    """Values and gradients of the polynomials of edge functions, each at one point of its cell."""
+
+    x: Shaped[Floats, "n"]
+    y: Shaped[Floats, "n"]
+    value: Shaped[Floats, "n"]
+    gradient_x: Shaped[Floats, "n"]
+    gradient_y: Shaped[Floats, "n"]
+
+
+def _expand_near_zeros(functions: Enclosures) -> _Expansions:
+    """Expand each edge function at a point near its zero.
+
+    The closer the point is to the zero, the narrower the strip becomes.
+    """
+    constant, slope_x, slope_y, coef_xx, coef_xy, coef_yy, *_ = functions.coefficients
+    x, y = _take_newton_step(functions.coefficients[:X_SQUARED])
+    value = constant + slope_x * x + slope_y * y
+    value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
+    return _Expansions(
+        x=x,
+        y=y,
+        value=value,
+        gradient_x=slope_x + 2 * coef_xx * x + coef_xy * y,
+        gradient_y=slope_y + coef_xy * x + 2 * coef_yy * y,
+    )
+
+
 def _take_newton_step(
     coefficients: Shaped[Floats, "3 n"],
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-    """Take one Newton step from the cell's centre towards a zero of each polynomial.
+    """Take one Newton step from the centre of each cell towards a zero, and return its X and Y.
 
-    There are coefficients of 1, X and Y.  The step, to X and Y, is shortened if it would leave the
-    cell, and is 0 where the gradient is 0.
+    The function is linear, with coefficients of 1, X and Y.  A step that would leave the cell is
+    shortened.  Where the gradient is 0, the step is 0, too.
     """
     value, slope_x, slope_y = coefficients
     max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
     scale = np.clip(-value / (slope_x**2 + slope_y**2), -max_scale, max_scale)
     scale = np.nan_to_num(scale, posinf=0, neginf=0)
     return scale * slope_x, scale * slope_y
+
+
+def _bound_linear_part(
+    functions: Enclosures, expansions: _Expansions
+) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+    """Bound the linear part of each edge function where the function is 0 in its cell.
+
+    At (X, Y), the linear part is constant + gradient_x (X - x) + gradient_y (Y - y).  Return the
+    constant, and an upper bound on the absolute value of the linear part.  The bound is infinite if
+    the curvature is too large.
+    """
+    coef_xx, coef_xy, coef_yy = functions.coefficients[X_SQUARED : X_SQUARED + 3]
+    x, y, value, gradient_x, gradient_y = expansions
+    slope = np.hypot(gradient_x, gradient_y)
+    normal_x, normal_y = gradient_x / slope, gradient_y / slope
+    # Relative to the point (x, y), let n be the coordinate along the gradient, and t the one along
+    # (-normal_y, normal_x).  With the second derivatives f_tt, f_tn and f_nn, the function is
+    #     value + slope n + f_tn t n + f_nn n^2 / 2 + f_tt t^2 / 2.
+    f_tt = coef_xx * normal_y * normal_y - coef_xy * normal_x * normal_y
+    f_tt = 2 * (f_tt + coef_yy * normal_x * normal_x)
+    f_tn = 2 * (coef_yy - coef_xx) * normal_x * normal_y
+    f_tn = f_tn + coef_xy * (normal_x * normal_x - normal_y * normal_y)
+    f_nn = coef_xx * normal_x * normal_x + coef_xy * normal_x * normal_y
+    f_nn = 2 * (f_nn + coef_yy * normal_y * normal_y)
+    half_extent = np.abs(normal_x) + np.abs(normal_y)  # of the cell, along t and along n
+    max_t = half_extent + np.abs(normal_x * y - normal_y * x)
+    max_n = half_extent + np.abs(normal_x * x + normal_y * y)
+    # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
+    max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
+    # Replace the last term by its mean for t from -max_t to max_t, so that the centre line divides
+    # the cell into almost the same areas as the edge.  The mean of t^2 / 2 is max_t^2 / 6.  The
+    # term differs from it most at the ends, where t^2 / 2 - max_t^2 / 6 = max_t^2 / 3.
+    constant = value + f_tt * max_t * max_t / 6
+    deviation = np.abs(f_tt) * max_t * max_t / 3 + functions.max_deviation
+    # If the function is 0, |constant + slope n (1 + e)| is at most the deviation.  Then
+    # |constant + slope n| is at most the deviation plus the following bound on |slope n e|.
+    max_change = (np.abs(constant) + deviation) * max_e / (1 - max_e)
+    return constant, np.where(max_e < 1, deviation + max_change, np.inf)
 
 
 class Regions(NamedTuple):
@@ -191,40 +249,42 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
 def _cut_triangles(
     triangles: _Triangles, triangle_index: Shaped[Ints, "n"], strips: Strips, bit: int
 ) -> _Triangles:
-    """Cut some triangles, each along the centre line of a strip, which owns this side bit.
+    """Cut some triangles, each along the centre line of one strip.
 
-    The arrays of the argument are changed.  A triangle on one side of its line remains whole.
+    Bit number `bit` of the side bits says on which side of its line each part is.  The arrays of
+    `triangles` are changed.  A triangle on one side of its line remains whole.
     """
     cell_index, side_bits, corners = triangles
-    triangle = corners[:, triangle_index]
-    height = strips.compute_height(triangle.real, triangle.imag)
+    chosen_corners = corners[:, triangle_index]
+    height = strips.compute_height(chosen_corners.real, chosen_corners.imag)
     is_above = height > 0
     above_count = is_above.sum(axis=0)
     side_bits[triangle_index[above_count == 3]] |= 1 << bit
     cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
     triangle_index = triangle_index[cut_index]
-    # Rotate the corners so that the first, a, is alone on its side of the line.
-    is_a_above = above_count[cut_index] == 1
-    lone_corner_index = np.argmax(is_above[:, cut_index] == is_a_above, axis=0)
-    corner_index = (lone_corner_index + np.arange(3)[:, None]) % 3
-    a, b, c = corners[corner_index, triangle_index]
-    height_a, height_b, height_c = height[corner_index, cut_index]
-    # The line meets the triangle's sides at p and q.
-    p = a + height_a / (height_a - height_b) * (b - a)
-    q = a + height_a / (height_a - height_c) * (c - a)
-    corners[:, triangle_index] = a, p, q
+    # Rotate the corners so that the first one is alone on its side of the line.
+    is_first_above = above_count[cut_index] == 1
+    first_corner_index = np.argmax(is_above[:, cut_index] == is_first_above, axis=0)
+    corner_index = (first_corner_index + np.arange(3)[:, None]) % 3
+    first, second, third = corners[corner_index, triangle_index]
+    first_height, second_height, third_height = height[corner_index, cut_index]
+    # Points where the line meets the two sides at the first corner.
+    on_second = first + first_height / (first_height - second_height) * (second - first)
+    on_third = first + first_height / (first_height - third_height) * (third - first)
+    corners[:, triangle_index] = first, on_second, on_third
+    other_triangles = [(on_second, second, third), (on_second, third, on_third)]
     old_bits = side_bits[triangle_index]
-    side_bits[triangle_index] = old_bits | (is_a_above << bit)
-    other_bits = old_bits | (~is_a_above << bit)
+    side_bits[triangle_index] = old_bits | (is_first_above << bit)
+    other_bits = old_bits | (~is_first_above << bit)
     return _Triangles(
         cell_index=np.append(cell_index, np.tile(cell_index[triangle_index], 2)),
         side_bits=np.concatenate([side_bits, other_bits, other_bits]),
-        corners=np.concatenate([corners, (p, b, c), (p, c, q)], axis=1),
+        corners=np.concatenate([corners, *other_triangles], axis=1),
     )
 
 
 def _merge_triangles(triangles: _Triangles, bit_count: int) -> Regions:
-    """Merge the triangles that have the same cell and the same side bits to regions."""
+    """Merge the triangles with the same cell and the same side bits into one region."""
     area, moments = _compute_moments(triangles.corners)
     triangle_keys = (triangles.cell_index << bit_count) | triangles.side_bits
     keys, region_index = np.unique(triangle_keys, return_inverse=True)
@@ -243,12 +303,15 @@ def _merge_triangles(triangles: _Triangles, bit_count: int) -> Regions:
 def _compute_moments(
     corners: Shaped[Complexes, "3 n"],
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "6 n"]]:
-    """Compute the areas of triangles, and the means of 1, X, Y, X^2, X Y and Y^2 over them."""
+    """Compute the areas of triangles, and the means of 1, X, Y, X^2, X Y and Y^2 over them.
+
+    Areas are fractions of the cell's area, which is 4.
+    """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
     moments = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
-    # Let p and q each be X or Y, and p_i and q_i their values at corner i.  The mean of p q over
-    # the triangle is (sum of p_i q_i + sum of p_i * sum of q_i) / 12.
-    for p, q in ((x, x), (x, y), (y, y)):
-        moments.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
+    # For f and g equal to X or Y, with values f_i and g_i at corner i, the mean of f g over the
+    # triangle is (sum of f_i g_i + sum of f_i * sum of g_i) / 12.
+    for f, g in ((x, x), (x, y), (y, y)):
+        moments.append(((f * g).sum(axis=0) + f.sum(axis=0) * g.sum(axis=0)) / 12)
     return area, np.array(moments)
