@@ -8,6 +8,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from tracer.scene import display as _display
 from tracer.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -50,6 +51,14 @@ __all__ = [
 ]
 
 
+def _make_scene_png(scene: "Scene") -> bytes:
+    from tracer.picture.notebook import make_notebook_png
+
+    return make_notebook_png(scene)
+
+
+_display.make_scene_png = _make_scene_png
+
 if not TYPE_CHECKING:
     # Names are imported when first used: `python -m tracer` must begin before NumPy is imported.
     _MODULES = (
@@ -57,16 +66,7 @@ if not TYPE_CHECKING:
         *("picture.render", "picture.png", "picture.lint", "picture.explanation"),
     )
 
-    def _make_notebook_png(scene: object) -> bytes:
-        from tracer.picture.notebook import make_notebook_png
-
-        return make_notebook_png(scene)
-
     def __getattr__(name: str) -> object:
-        if name in __all__:
-            # Notebooks call this method of a scene.  It is set here, because the module of scenes
-            # knows nothing of rendering.
-            import_module("tracer.scene.model").Scene._repr_png_ = _make_notebook_png
         for path in _MODULES if name in __all__ else ():
             if hasattr(module := import_module(f"tracer.{path}"), name):
                 return globals().setdefault(name, getattr(module, name))

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import pickle
 import pydoc
 import re
 import site
@@ -35,6 +36,18 @@ def test_help_shows_the_public_names():
     text = pydoc.render_doc(tracer, renderer=pydoc.plaintext)
     shown = re.findall(r"^    (?:class )?(\w+)(?:\(| = )", text, re.MULTILINE)
     assert set(shown) == set(tracer.__all__)
+
+
+def test_a_notebook_shows_a_scene_from_a_pickle():
+    """No public name of the package has been used there."""
+    script = """
+import pickle, sys
+scene = pickle.load(sys.stdin.buffer)
+assert scene._repr_png_().startswith(b"\\x89PNG")
+"""
+    pickled_scene = pickle.dumps(tracer.Scene(width=3, height=2))
+    python = [sys.executable, "-W", "ignore", "-c", script]
+    subprocess.run(python, input=pickled_scene, check=True, timeout=60)
 
 
 def test_scenes_can_be_keys_of_a_weak_dictionary():

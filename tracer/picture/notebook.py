@@ -1,7 +1,4 @@
-"""Show a scene as its picture in a notebook, which calls `Scene._repr_png_`.
-
-`tracer/__init__.py` adds this method to the class, whose module knows nothing of rendering.
-"""
+"""Show a scene as its picture in a notebook, which calls `Scene._repr_png_`."""
 
 from __future__ import annotations
 

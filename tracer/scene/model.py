@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import Floats, Ints
-from tracer.scene import schema
+from tracer.scene import display, schema
 from tracer.scene.schema import FieldError, Validated, format_number, tag_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
@@ -644,3 +644,7 @@ class Scene(Validated):
             message = f"{self.width} x {self.height} pixels are too many: {memory}"
             limit = f"at most {schema.MAX_PIXELS} are allowed"
             raise schema.SceneError([f"width, height: {message}; {limit}"])
+
+    def _repr_png_(self) -> bytes:
+        """Show the scene as its picture in notebooks, which call this method."""
+        return display.make_scene_png(self)
