@@ -135,6 +135,15 @@ def mark_run_starts(*arrays: Shaped[NDArray[Any], "n"]) -> Shaped[Bools, "n"]:
     return is_start
 
 
+def sort_distinct(keys: Shaped[Ints, "n"]) -> Shaped[Ints, "distinct"]:
+    """Sort an array in place, and return its distinct values.
+
+    `np.unique` builds a hash table, and takes four to six times as long.
+    """
+    keys.sort()
+    return keys.take(find(mark_run_starts(keys)))
+
+
 def find_runs(
     *arrays: Shaped[NDArray[Any], "n"],
 ) -> tuple[Shaped[Ints, "runs"], Shaped[Ints, "runs"]]:

@@ -64,6 +64,7 @@ from tracer.arrays import (
     find,
     find_runs,
     put_2d,
+    sort_distinct,
     split_by_size,
     take,
     take_2d,
@@ -243,7 +244,7 @@ class _EdgeSet:
 
     def _merge_batches(self) -> None:
         """Merge all batches into one without duplicates, and mark and remove crowded pairs."""
-        keys = np.unique(np.concatenate(self._key_batches))
+        keys = sort_distinct(np.concatenate(self._key_batches))
         pair_key = keys // self._counts[2]  # encodes the light and the hit
         pair_start, edge_count = find_runs(pair_key)
         is_pair_crowded = edge_count > _MAX_EDGES_PER_HIT

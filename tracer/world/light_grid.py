@@ -63,6 +63,7 @@ from tracer.arrays import (
     find,
     find_runs,
     join_ranges,
+    sort_distinct,
     split_by_size,
 )
 from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_ROUNDING
@@ -198,15 +199,14 @@ class LightGrid(NamedTuple):
         # the ball excludes nothing.
         part_bounds = parts.bounds.T.copy()
         part_bounds[:, _MIN_DISTANCE_ROW] = -np.inf
-        entry_count = self.entry_object.size
         for part_index, entry_index in self._list_entries(parts):
             meets_bound = self.entry_bounds.take(entry_index, 0) >= part_bounds.take(part_index, 0)
             # The same as meets_bound.all(axis=1), but much faster.
             match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
             match_part, match_entry = part_index.take(match_index), entry_index.take(match_index)
-            pair_key = np.unique(match_part * entry_count + match_entry)
-            distinct_part, distinct_entry = np.divmod(pair_key, entry_count)
-            yield distinct_part, distinct_entry
+            # Each key contains the indices of a part and an entry.
+            distinct_key = sort_distinct(match_part << 32 | match_entry)
+            yield distinct_key >> 32, distinct_key & 0xFFFFFFFF
 
     def _list_entries(
         self, parts: _Parts
