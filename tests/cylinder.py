@@ -221,7 +221,7 @@ class Cylinders(Shape):
         self, index: Ints, start: Triple, end: Triple, growth: Floats | float
     ) -> tuple[Floats, Floats, Bools]:
         """Return where segments enter and leave grown cylinders, and which of these exist."""
-        center = np.array(map_xyz(np.subtract, self.center[:, index], start))
+        center = self.center[:, index] - np.array(start)
         radius, half_height = self.radius[index] + growth, self.half_height[index] + growth
         caps = center[1] - half_height, center[1] + half_height
         (side_enter, side_leave), (cap_enter, cap_leave) = _find_spans(

@@ -34,7 +34,9 @@ CACHE_SIZE = 1 << 15
 BATCH_SIZE = 1 << 16
 
 
-def map_xyz(function: Callable[..., Floats], *vectors: Triple) -> Triple:
+def map_xyz(
+    function: Callable[..., Floats], *vectors: Shaped[Triple, "..."]
+) -> Shaped[Triple, "..."]:
     """Apply a function to each component (x, y and z) of vectors.
 
     For example, ``map_xyz(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
@@ -43,7 +45,7 @@ def map_xyz(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     return x, y, z
 
 
-def dot(a: Shaped[Triple, "..."], b: Shaped[Triple, "..."] | Vector) -> Floats:
+def dot(a: Shaped[Triple, "..."], b: Shaped[Triple, "..."] | Vector) -> Shaped[Floats, "..."]:
     """Compute the dot product of each pair of vectors, or of each vector in `a` and one vector.
 
     If the arrays of `a` differ in shape, the first must have the shape of the result.
@@ -55,12 +57,14 @@ def dot(a: Shaped[Triple, "..."], b: Shaped[Triple, "..."] | Vector) -> Floats:
     return products
 
 
-def cross(a: Triple, b: Triple) -> Triple:
+def cross(a: Shaped[Triple, "... #n"], b: Shaped[Triple, "... #n"]) -> Shaped[Triple, "... n"]:
     """Compute the cross product a x b of each pair of vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def scale(vectors: Triple, factors: Floats) -> Triple:
+def scale(
+    vectors: Shaped[Triple, "... #n"], factors: Shaped[Floats, "... #n"]
+) -> Shaped[Triple, "... n"]:
     """Multiply each vector by its own factor."""
     return vectors[0] * factors, vectors[1] * factors, vectors[2] * factors
 

@@ -198,15 +198,10 @@ WITHOUT_SHAPES = {
     "reference.pictures",
     "tracer.antialias.edge_functions",
     "tracer.antialias.regions",
-    "tracer.arrays",
-    "tracer.geometry.box",
-    "tracer.geometry.camera",
-    "tracer.geometry.silhouette",
     "tracer.picture.png",
     "tracer.picture.render",
     "tracer.scene.model",
     "tracer.scene.schema",
-    "tracer.trace.hits",
 }
 
 

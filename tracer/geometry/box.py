@@ -327,21 +327,27 @@ class Boxes(Shape):
     def intersect_other_faces(
         self, object_index: Shaped[Ints, "n"], to_hit: Shaped[Triple, "n"], cell_angle: float
     ) -> Iterator[FaceHits]:
-        box_index, distance = self.objects.to_local(object_index), np.sqrt(dot(to_hit, to_hit))
+        box_index = self.objects.to_local(object_index)
+        distance = np.sqrt(dot(to_hit, to_hit))
         for axis in range(3):
             # Offsets are coordinates along the axis, relative to the eye.
             hit_offset = self.frame.project_onto_axis(to_hit, axis)
             # The normal of a visible face points against the ray.
             for face_code in (2 * axis, 2 * axis + 1):
                 normal_sign = _decode_face(face_code)[1]
-                index = find((hit_offset <= 0) == (normal_sign > 0))
-                position = self._get_face_position(box_index[index], axis, normal_sign)
+                item_index = find((hit_offset <= 0) == (normal_sign > 0))
+                item_offset = hit_offset[item_index]
+                position = self._get_face_position(box_index[item_index], axis, normal_sign)
                 # The ray meets the plane at t times the vector from the eye to the hit.
-                t = (position - self.frame.eye[axis]) / hit_offset[index]
-                cell_radius = t * to_hit[2][index] * cell_angle
-                cosine = np.abs(hit_offset[index]) / distance[index]
-                footprint_radius = compute_plane_footprints(cell_radius, cosine, cell_angle)
-                yield FaceHits(face_code, index, t, footprint_radius)
+                t = (position - self.frame.eye[axis]) / item_offset
+                cell_radius = t * to_hit[2][item_index] * cell_angle
+                cosine = np.abs(item_offset) / distance[item_index]
+                yield FaceHits(
+                    face_code=face_code,
+                    item_index=item_index,
+                    t=t,
+                    footprint_radius=compute_plane_footprints(cell_radius, cosine, cell_angle),
+                )
 
 
 def _decode_face(face_code: int) -> tuple[int, float]:
@@ -405,8 +411,11 @@ def _snap_to_faces(
 ) -> Shaped[Triple, "n"]:
     """Move points that are at most `tolerance` away from the plane of a face onto this plane."""
 
-    def snap_coordinate(x: Floats, low_x: Floats, high_x: Floats) -> Floats:
-        is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
+    def snap_coordinate(
+        x: Shaped[Floats, "n"], low_x: Shaped[Floats, "n"], high_x: Shaped[Floats, "n"]
+    ) -> Shaped[Floats, "n"]:
+        is_on_low = np.abs(x - low_x) <= tolerance
+        is_on_high = np.abs(x - high_x) <= tolerance
         return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 
     return map_xyz(snap_coordinate, point, low, high)

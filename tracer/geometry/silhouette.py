@@ -74,7 +74,7 @@ def compute_miss_angles(
     return angle
 
 
-def bound_variation(values: Shaped[Floats, "6 ..."]) -> Floats:
+def bound_variation(values: Shaped[Floats, "6 ..."]) -> Shaped[Floats, "..."]:
     """Bound how much edge functions differ, in a cell, from their values at the centre.
 
     The bound applies to the quadratic polynomials through the values at the six points of the cell.

@@ -107,6 +107,6 @@ class Hits(NamedTuple):
         """Look up, for each hit, the value of its object."""
         return values[self.run_object].repeat(np.diff(self.run_start))
 
-    def get_points(self, hit_index: Shaped[Ints, "k"] | slice) -> Triple:
+    def get_points(self, hit_index: Shaped[Ints, "k"] | slice) -> Shaped[Triple, "k"]:
         """Return the positions of selected hits, in scene axes."""
         return self.scene.frame.point_to_scene(take(self.from_eye, hit_index))
