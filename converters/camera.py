@@ -17,10 +17,10 @@ from tracer import Camera, Scene, Surfaces, first_hits
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Numbers of rays along each side of the picture.  The next one is tried if too few hit a surface.
+# Numbers of rays along each side of the picture, which are tried in this order.
 _RAYS_PER_SIDE = 12, 48, 192
 
-# Number of hits from which on no finer grid is tried.
+# If fewer rays than this hit a surface, the next number is tried.
 _MIN_VISIBLE_POINTS = 12
 
 
@@ -93,8 +93,8 @@ def compute_bounding_box(surfaces: Surfaces) -> Shaped[Floats, "2 3"]:
 def sample_visible_points(scene: Scene) -> Shaped[Floats, "n 3"]:
     """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    The grid is the first in `_RAYS_PER_SIDE` of which enough rays hit a surface, or the last one,
-    of which perhaps no ray does.
+    The first grid of `_RAYS_PER_SIDE` is used in which `_MIN_VISIBLE_POINTS` rays hit a surface, or
+    else the last one.  There, perhaps no ray hits a surface; then the result is empty.
     """
     for rays_per_side in _RAYS_PER_SIDE:
         y, x = (np.indices((rays_per_side, rays_per_side)).reshape(2, -1) + 0.5) / rays_per_side

@@ -3,9 +3,9 @@
 In the *exact* flavour, this project's own plugins (`converters.plugins`) compute the same picture
 as the tracer.  In the *stock* flavour, Mitsuba's built-in plugins approximate that picture.
 
-Functions that convert a part of a scene return a Mitsuba plugin as an XML element.  The
-`Normalization` that they take is applied to all points and lengths.  They raise `ConversionError`
-if a number cannot be represented in Mitsuba.
+A function that converts a part of a scene returns a Mitsuba plugin as an XML element.  It applies a
+`Normalization` to all points and lengths.  It raises `ConversionError` if Mitsuba cannot represent
+a number.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from tracer import Phong, PointLight, Scene, Shader, Surfaces
 DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
 
-# NumPy does not warn of overflows: an infinite number raises `ConversionError` when it is written.
+# Warnings of overflows are not needed: an infinite number raises `ConversionError` when it is
+# formatted (see `mitsuba_xml`).
 _IGNORE_OVERFLOW = np.errstate(all="ignore")
 
 # Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
@@ -125,7 +126,8 @@ def choose_normalization(scene: Scene) -> Normalization:
     """Choose a translation and scaling that fit the visible part of a scene into a cube.
 
     The cube is centred at the origin, and its edges are `_SCENE_SIZE` long.  If no surface is
-    visible, the whole scene is fitted into the cube.  The scale is 1 for a single point.
+    visible, the whole scene is fitted into the cube.  If there is only a single point, the scale
+    is 1.
     """
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
@@ -169,8 +171,8 @@ def _convert_surfaces(
 ) -> list[Element]:
     """Convert all surfaces to shapes, in the order of the scene file.
 
-    There is a BSDF name for each shader.  A flat box gets a small thickness, because Mitsuba cannot
-    invert the transform of a flat cube.
+    `bsdf_names` contains a name for each shader.  A flat box gets a small thickness, because
+    Mitsuba cannot invert the transform of a flat cube.
     """
     radii = (surfaces.radius * normalization.scale).tolist()
     shapes = [
@@ -218,7 +220,7 @@ converters.plugins, and call mitsuba.load_file.
 def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
     """Convert a scene to a Mitsuba scene that reproduces the tracer's picture.
 
-    A single sample is at the pixel's centre.
+    If there is a single sample per pixel, it is at the pixel's centre.
     """
     normalization = choose_normalization(scene)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
@@ -270,8 +272,8 @@ def make_pixels_square(scene: Scene) -> Scene:
     """Make the pixels of a scene's picture square by changing the number of rows.
 
     The number of rows is rounded to an integer of at least 1, and the height of the camera's window
-    is changed to match.  A scene with square pixels is returned itself.  A picture of more than
-    `_MAX_PIXELS` pixels raises `ConversionError`.
+    is changed to match.  A scene whose pixels are square is returned unchanged.  Raise
+    `ConversionError` if the picture would have more than `_MAX_PIXELS` pixels.
     """
     camera = scene.camera
     row_count = scene.width * camera.view_height / camera.view_width
@@ -323,7 +325,7 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
         visible_points = compute_bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
     sample_count = _round_up_samples(samples, len(scene.lights))
     elements = [
-        # Direct light only; for each sample, Mitsuba chooses one light.
+        # Direct light only.  Mitsuba chooses one light for each sample.
         make_plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
         _make_stock_sensor(square_scene, normalization, sample_count),
         *(_convert_light(light, normalization, divisor, visible_points) for light in scene.lights),
@@ -356,14 +358,14 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
 def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
     """Create Mitsuba's sensor, "perspective", for a scene with square pixels.
 
-    The field of view, in float32, must be more than 0 and less than about 180 degrees.
+    Raise `ConversionError` if the field of view, in float32, is 0 or close to 180 degrees.
     """
     window = compute_window(scene.camera)
     right, down, forward = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
     to_world = np.column_stack([-right, -down, forward, normalization(window.eye)])
-    # Of the window's centre from the eye; the field of view is twice the angle to the edge of a
-    # window whose centre is straight ahead.
+    # The field of view is that of a window of the same size whose centre is straight ahead; the
+    # principal point shifts it to the right place.
     offset_right, offset_down, distance = window.offset
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -372,7 +374,7 @@ def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int)
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
     farthest_offset = np.abs(compute_bounding_box(scene.surfaces) - window.eye).max(axis=0)
-    # It is 0 if the only surface is a point at the eye, but Mitsuba needs a positive distance.
+    # The distance is 0 if the only surface is a point at the eye, but Mitsuba needs a positive one.
     far_distance = normalization.scale * float(np.linalg.norm(farthest_offset)) or 1.0
     return make_plugin(
         "sensor",

@@ -1,7 +1,7 @@
 """Build Mitsuba scene files as trees of XML elements.
 
-Mitsuba computes with float32.  A number beyond the range of float32 would become infinite, so all
-functions raise `ConversionError` for it.
+Mitsuba computes with float32, in which a number beyond its range would become infinite.  Therefore
+every function raises `ConversionError` if it is given such a number.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ def make_plugin(
 def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Element:
     """Create the XML element for three numbers: a point, a vector, a scaling or a translation.
 
-    `name` is the plugin parameter that they set; None for a part of a transform.
+    `name` is the parameter of a plugin that the numbers set.  It is None if they are a part of a
+    transform.
     """
     attributes = {} if name is None else {"name": name}
     x, y, z = [_format_number(name or tag, component) for component in components]
@@ -110,7 +111,7 @@ def make_color(name: str, color: Iterable[float]) -> Element:
 
 
 def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element for a transform by a 4 x 4 matrix, which sets a plugin parameter."""
+    """Create the XML element for a 4 x 4 matrix that sets a plugin parameter, a transform."""
     element = Element("transform", name=name)
     numbers = (number for row in matrix_rows for number in row)
     SubElement(element, "matrix", value=_format_numbers(name, numbers))
@@ -120,7 +121,8 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
 def _format_number(parameter_name: str, value: float) -> str:
     """Format a number as the shortest text that denotes the same float64 number.
 
-    NaN, and numbers beyond the range of float32, raise `ConversionError` with the parameter's name.
+    Raise `ConversionError`, with the parameter's name, for NaN and for numbers beyond the range of
+    float32.
     """
     if not abs(value) <= _MAX_FLOAT32:  # also if it is NaN
         raise ConversionError(

@@ -127,8 +127,8 @@ class BlinnPhong(mi.BSDF):
         """Compute the shading, which is the product of the BSDF and the cosine n.l.
 
         `to_light`, and `hit.wi` towards the eye, are in a local frame whose z axis is the normal.
-        The shading is 0 where they are on different sides of the surface, and where `active` is
-        False.
+        The shading is 0 where the two directions are on different sides of the surface, and where
+        `active` is False.
         """
         half_vector = dr.normalize(hit.wi + to_light)
         # Compute the cosine n.h from the sine: in float32, a cosine close to 1 would round to 1.
@@ -147,8 +147,8 @@ class EveryLight(mi.SamplingIntegrator):
     hit is therefore lit unless the shadow ray first meets a shape more than a tolerance above the
     plane.  No offset from the surface is needed: it would move the edges of shadows.
 
-    Its parameter is the number `tolerance`, in the scene's unit of length.  It raises RuntimeError
-    if the current variant of Mitsuba is not an RGB variant.
+    Its parameter is the number `tolerance`, in the unit of length of the Mitsuba scene.  The
+    constructor raises RuntimeError if the current variant of Mitsuba is not an RGB variant.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -160,7 +160,8 @@ class EveryLight(mi.SamplingIntegrator):
     def sample(self, scene, sampler, ray, medium=None, active=True):
         """Compute the radiance along a ray from the eye, and whether the ray hits a surface.
 
-        The radiance is 0 if it does not.  The third result lists other outputs: none.
+        If the ray hits nothing, the radiance is 0.  The third result, a list of other outputs, is
+        empty.
         """
         hit = scene.ray_intersect(ray, active)
         is_hit = hit.is_valid()
@@ -202,7 +203,7 @@ for register, plugin, name in (
 if "_reload" not in globals():
 
     def _reload(_old: str | None, _new: str | None) -> None:
-        """Execute this module again, which defines its plugins for the new Mitsuba variant."""
+        """Execute this module again, to define its plugins for the new Mitsuba variant."""
         importlib.reload(sys.modules[__name__])
 
     mi.detail.add_variant_callback(_reload)

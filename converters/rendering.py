@@ -17,6 +17,7 @@ from converters.variant import ensure_variant, mi, use_variant
 from tracer import Scene
 from tracer.files import open_atomically
 
+# The first bytes of every EXR file.
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
 # Maximum number of samples in a picture: Mitsuba counts them with 32 bits.
@@ -45,7 +46,7 @@ def render_with_mitsuba(
         Mitsuba's variant; by default, the fastest that works on this machine.
     flavour
         "exact" or "stock" (see `converters.flavours`).  In the stock flavour, pixels are square, so
-        that the height may differ from that of the scene.
+        the picture may have another height than the scene says.
 
     Raises
     ------
@@ -66,9 +67,10 @@ def render_with_mitsuba(
 
 
 def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load the text of a converted scene, and return a function that renders it, also repeatedly.
+    """Load the text of a converted scene, and return a function that renders it.
 
-    A variant that does not work on this machine raises ImportError.
+    The function may be called repeatedly.  Raise ImportError if the variant does not work on this
+    machine.
     """
     chosen_variant = use_variant(variant).variant
     import converters.plugins  # noqa: F401 (registers this project's plugins)
@@ -89,7 +91,7 @@ def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[]
 def write_exr(path: str | os.PathLike[str], image: Shaped[Floats, "height width 3"]) -> None:
     """Write a picture of linear radiance to an EXR file, in float32.
 
-    An existing EXR file is replaced; a file of another format raises OSError.
+    An existing EXR file is replaced.  Raise OSError if the file has another format.
     """
     ensure_variant()
     stream = mi.MemoryStream()

@@ -24,9 +24,10 @@ if __name__ == "__main__":
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from converters.mitsuba_xml import FILE_START, ConversionError
 from tracer.command.arguments import (
@@ -65,24 +66,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = _make_parser()
     options = parser.parse_args(arguments)
-    process_scene = _render_file if options.render else _convert_file
-    default_flavour = "exact" if options.render else "stock"
-    list_files = _derive_picture_paths if options.render else lambda path: (path,)
-    options.flavour = options.flavour or default_flavour
-    suffix = "" if options.flavour == default_flavour else f".{options.flavour}"
-    suffix += ".mitsuba.png" if options.render else ".mitsuba.xml"
-    scene_paths = skip_converted_scenes(options.scenes)
-    # A path such as / has no name, but is accepted here: reading it fails with a clear message.
-    default_paths = [str(path.parent / f"{path.stem}{suffix}") for path in scene_paths]
-    scenes = [*map(str, scene_paths)]
-    output_paths = choose_output_paths(parser, scenes, options.output, default_paths, list_files)
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
+    mode = _RENDERING if options.render else _CONVERSION
+    flavour = options.flavour or mode.default_flavour
+    flavour_suffix = "" if flavour == mode.default_flavour else f".{flavour}"
+    scene_paths = skip_converted_scenes(options.scenes)
+    # A path such as / has no name, but is accepted here: reading it fails with a clear message.
+    default_paths = [
+        str(path.parent / f"{path.stem}{flavour_suffix}{mode.suffix}") for path in scene_paths
+    ]
+    scenes = [*map(str, scene_paths)]
+    output_paths = choose_output_paths(
+        parser, scenes, options.output, default_paths, mode.derive_file_paths
+    )
     if options.render:
         set_up_mitsuba(options.variant)
     make_output_folder(options.output)
     results = [
-        attempt(process_scene, scene_path, Path(output_path), options)
+        attempt(mode.process_scene, scene_path, Path(output_path), flavour, options)
         for scene_path, output_path in zip(scene_paths, output_paths, strict=True)
     ]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
@@ -109,11 +111,11 @@ def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
 
 @contextmanager
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
-    """Convert errors that the converter or Mitsuba raises in a with block to a `Failure`.
+    """Turn errors of the converter or of Mitsuba, in a with block, into a `Failure`.
 
-    They are OSError, MemoryError, ImportError, RuntimeError and ValueError, of which the
-    converter's own `ConversionError` is one.  The message contains the path of the scene file, and
-    the participle, for example "rendered" for "cannot be rendered".
+    This applies to OSError, MemoryError, ImportError, RuntimeError and ValueError; the converter's
+    own `ConversionError` is a ValueError.  The message contains the path of the scene file, and the
+    participle, for example "rendered" for "cannot be rendered".
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -123,10 +125,10 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Return the paths that are not converted scenes, and print a line for each one skipped.
+    """Return the paths of files that are not converted scenes, and print a line for each other one.
 
-    Naming a converted scene is not an error, because *.xml also matches its file.  Paths of files
-    that cannot be read are kept: reading them later gives the message.
+    Naming a converted scene is not an error, because *.xml also matches its file.  The path of a
+    file that cannot be read is kept, because the caller reads the file again and reports the error.
     """
     kept_paths = []
     for path in paths:
@@ -178,11 +180,13 @@ def _make_parser() -> CommandParser:
     return parser
 
 
-def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
+def _convert_file(
+    scene_path: Path, output_path: Path, flavour: str, options: argparse.Namespace
+) -> None:
     """Convert a scene file to a Mitsuba scene file, and print a line with the path of the result.
 
-    The options are those of `_make_parser`, with a flavour.  What cannot be read, converted or
-    written raises `Failure`.
+    Of the options, `samples` is used.  Raise `Failure` if the scene file cannot be read or
+    converted, or the result cannot be written.
     """
     from converters.flavours import convert
     from tracer import load_scene
@@ -190,20 +194,23 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
     with errors_as_failure(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     with mitsuba_errors_as_failure(scene_path, "converted"):
-        text = convert(scene, options.flavour, options.samples)
+        text = convert(scene, flavour, options.samples)
     with (
         errors_as_failure(output_path, "written", "choose another with -o"),
         open_atomically(output_path, FILE_START.encode()) as file,
     ):
         file.write(text.encode())
-    print_line(sys.stdout, make_printable(f"{output_path}: {options.flavour} flavour"))
+    print_line(sys.stdout, make_printable(f"{output_path}: {flavour} flavour"))
 
 
-def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
+def _render_file(
+    scene_path: Path, output_path: Path, flavour: str, options: argparse.Namespace
+) -> None:
     """Render a scene file with Mitsuba to a PNG and an EXR file, and print their paths.
 
-    `output_path` is the path of one of them; the other file is written next to it.  The options and
-    errors are as for `_convert_file`.
+    `output_path` is the path of one of them; the other file is written next to it.  Of the options,
+    `samples` and `variant` are used.  Raise `Failure` if the scene file cannot be read or rendered,
+    or a picture cannot be written.
     """
     from converters.rendering import render_with_mitsuba, write_exr
     from tracer import load_scene, write_png
@@ -211,10 +218,35 @@ def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespac
     with errors_as_failure(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     with mitsuba_errors_as_failure(scene_path, "rendered"):
-        image = render_with_mitsuba(scene, options.samples, options.variant, options.flavour)
+        image = render_with_mitsuba(scene, options.samples, options.variant, flavour)
     png_path, exr_path = _derive_picture_paths(str(output_path))
     for picture_path, write_picture in ((png_path, write_png), (exr_path, write_exr)):
         with errors_as_failure(picture_path, "written", "choose another with -o"):
             write_picture(picture_path, image)
     height, width, _ = image.shape
     print_line(sys.stdout, make_printable(f"{png_path} and {exr_path.name}: {width} x {height}"))
+
+
+class _Mode(NamedTuple):
+    """What the command does with each scene: conversion, or rendering (--render)."""
+
+    default_flavour: str
+    suffix: str  # of the default output path
+    # Derive the paths of all files to write from the output path of a scene.
+    derive_file_paths: Callable[[str], tuple[Path, ...]]
+    # Called with the paths of the scene and of the output, the flavour, and the options.
+    process_scene: Callable[[Path, Path, str, argparse.Namespace], None]
+
+
+_CONVERSION = _Mode(
+    default_flavour="stock",
+    suffix=".mitsuba.xml",
+    derive_file_paths=lambda output_path: (Path(output_path),),
+    process_scene=_convert_file,
+)
+_RENDERING = _Mode(
+    default_flavour="exact",
+    suffix=".mitsuba.png",
+    derive_file_paths=_derive_picture_paths,
+    process_scene=_render_file,
+)

@@ -97,8 +97,8 @@ _find_fastest_once = cache(find_fastest_variant)
 def use_variant(variant: str | None = None) -> VariantChoice:
     """Set the variant that Mitsuba uses for the rest of this process.
 
-    None stands for the fastest that works on this machine.  A variant that does not work here, or
-    is not an RGB variant, raises ImportError.
+    None stands for the fastest that works on this machine.  Raise ImportError if the variant does
+    not work here, or is not an RGB variant.
     """
     choice = _find_fastest_once()
     if variant is not None and variant != choice.variant:

@@ -7,7 +7,6 @@ objects are visible, and why no light reaches them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
@@ -30,10 +29,10 @@ _MAX_ASPECT = 1.05
 # Maximum number of (light, surface) pairs for which lights inside surfaces are searched for.
 _MAX_PAIRS = BATCH_SIZE
 
-# Maximum number of pixels in a part of a picture of which all rows are examined for clipping.  This
-# took 8 % of the time of a whole picture of one sphere.
+# In a part of a picture with more pixels than this, only some rows are examined for black and
+# clipped pixels.  Examining all rows took 8 % of the time of a picture of one sphere.
 _MAX_EXAMINED_PIXELS = 4096
-# In larger parts, one in this many rows is examined.
+# In such a part, one in this many rows is examined.
 _ROW_STEP = 16
 
 # Maximum number of lines that a warning lists.
@@ -76,8 +75,8 @@ def lint_scene(
 ) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
-    A warning is one line: what looks wrong, where, and a suggested fix.  Of several equal mistakes,
-    the first is reported.
+    A warning is one line: what looks wrong, where, and a suggested fix.  Of several lights or
+    colours with the same mistake, the first is reported.
 
     Parameters
     ----------
@@ -107,147 +106,6 @@ def lint_scene(
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
             f"in a PNG file; lower the intensities of the lights, {brightest_light} first"
         )
-
-
-def _check_dark_lights(scene: Scene) -> Iterator[str]:
-    """Yield a warning about the first light of intensity 0."""
-    dark_indices = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
-    for light_index in islice(dark_indices, 1):
-        name = _format_light_name(scene, light_index)
-        yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
-
-
-def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield a warning about the first light inside a surface that does not contain the eye, too.
-
-    A light that is inside by less than the tolerance counts as on the surface.
-    """
-    if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
-        return
-    x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
-    is_enclosed = np.concatenate(
-        [
-            shape.measure_distance(shape.objects.list_indices(), (x, y, z))
-            < -LIGHT_TOLERANCE * shape.coordinate_bound
-            for shape in prepared_scene.shapes
-        ],
-        axis=1,
-    )
-    is_enclosed &= ~prepared_scene.is_eye_inside
-    for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
-        light_name = _format_light_name(scene, light_index)
-        surface_name = _format_surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
-        yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
-
-
-@np.errstate(all="ignore")
-def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple[str, str]:
-    """Find the reason why the picture of a scene is black, and a suggested fix."""
-    if not scene.lights:
-        return "the scene has no light", "add <light>"
-    visible_index = _find_visible_objects(prepared_scene)
-    camera_remedy = "see viewPoint, viewDir and the window"
-    if not visible_index.size:
-        if prepared_scene.bounds.is_in_picture(prepared_scene.frame).any():
-            return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
-        return "no object is in view", camera_remedy
-    shader_remedy = f"see the shader of {_format_surface_name(scene, visible_index)}"
-    # Which channels (red, green, blue) does each object reflect, and each light emit?
-    has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
-    reflects_channel = has_reflectance[:, visible_index]
-    emits_channel = np.array([light.intensity for light in scene.lights]) > 0
-    if not reflects_channel.any():
-        return "all surfaces in view are black", shader_remedy
-    if emits_channel.any() and not reflects_channel[emits_channel.any(axis=0)].any():
-        return "the surfaces in view reflect no colour of the lights", shader_remedy
-    remedy = "see the lights' positions and intensities"
-    enclosing_index = visible_index[prepared_scene.is_eye_inside[visible_index]]
-    if enclosing_index.size:
-        surface_name = _format_surface_name(scene, enclosing_index)
-        remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
-    return "no light reaches anything in view", remedy
-
-
-def _find_visible_objects(scene: PreparedScene) -> Shaped[Ints, "n"]:
-    """Find the objects that are visible through the centre of at least one pixel.
-
-    Their indices are in ascending order.
-    """
-    rows, columns = scene.window
-    index_batches = [np.zeros(0, dtype=np.intp)]
-    column_count = columns.stop - columns.start
-    if column_count > 0:
-        rows_per_batch = max(1, scene.choose_batch_size(BATCH_SIZE) // column_count)
-        for top in range(rows.start, rows.stop, rows_per_batch):
-            batch_rows = slice(top, min(top + rows_per_batch, rows.stop))
-            samples = PIXEL_CENTERS.place_in_pixels(batch_rows, columns)
-            index_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
-    return np.unique(np.concatenate(index_batches))
-
-
-def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield warnings about shaders that no surface uses, and about exponents without effect.
-
-    An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
-    skipped.
-    """
-    used_shader_indices = set(surfaces.shader_index.tolist())
-    unused_lines: list[int] = []
-    matte_lines: list[int] = []  # of shaders with an exponent, but without highlights
-    for index, shader in enumerate(surfaces.shaders):
-        if shader.line is None:
-            continue
-        if index not in used_shader_indices:
-            unused_lines.append(shader.line)
-        elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
-            matte_lines.append(shader.line)
-    if unused_lines:
-        names = _name_shaders(unused_lines)
-        remedy = 'write <shader ref="..."/> with the name in a surface, or remove the definition'
-        yield f"no surface refers to the {names}; {remedy}"
-    if matte_lines:
-        names = _name_shaders(matte_lines)
-        reason = "because specularColor is 0 0 0"
-        yield f"exponent has no effect in the {names}, {reason}; add <specularColor>"
-
-
-def _name_shaders(lines: list[int]) -> str:
-    """Return a name such as "shader on line 3" or "shaders on lines 3, 7"."""
-    if len(lines) == 1:
-        return f"shader on line {lines[0]}"
-    listed_lines = [str(line) for line in lines[:_MAX_LISTED_LINES]]
-    ellipsis = ["..."] * (len(lines) > _MAX_LISTED_LINES)
-    return f"shaders on lines {', '.join(listed_lines + ellipsis)}"
-
-
-def _check_aspect(scene: Scene) -> Iterator[str]:
-    """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
-
-    The warning suggests a `viewWidth` and a number of columns; either would make the pixels square.
-    """
-    width, height = scene.width, scene.height
-    view_width, view_height = scene.camera.view_width, scene.camera.view_height
-    if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
-        window_size = f"{format_number(view_width)} x {format_number(view_height)}"
-        problem = f"a window of {window_size} is stretched over {width} x {height} pixels"
-        column_count = max(1, round(height * view_width / view_height))
-        remedy = f"viewWidth {view_height * width / height:.6g}, or {column_count} columns,"
-        yield f"{problem}; {remedy} would make them square"
-
-
-def name_element(kind: str, index: int, line: int | None) -> str:
-    """Return a name for a light or a surface, such as "light 0 (line 12)"; its line may be None."""
-    return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
-
-
-def _format_light_name(scene: Scene, index: int) -> str:
-    return name_element("light", index, scene.lights[index].line)
-
-
-def _format_surface_name(scene: Scene, object_indices: Shaped[Ints, "n"]) -> str:
-    """Return the name of whichever of these objects comes first in the scene file."""
-    surface_index = scene.surfaces.file_index[object_indices].min().item()
-    return name_element("surface", surface_index, scene.surfaces[surface_index].line)
 
 
 def _check_color_ranges(scene: Scene) -> str | None:
@@ -284,3 +142,149 @@ def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
     new_color = " ".join(f"{value / 255:.3g}" for value in color)
     problem = f"{tag} {old_color} of {owner_name} looks like 0 to 255"
     return f"{problem}; for 0 to 1, write {new_color}"
+
+
+def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
+    """Yield a warning about shaders that no surface uses, and one about exponents without effect.
+
+    An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file
+    have no name for a message, so they are skipped.
+    """
+    used_shader_indices = set(surfaces.shader_index.tolist())
+    unused_lines: list[int] = []
+    matte_lines: list[int] = []  # of shaders with an exponent, but without highlights
+    for index, shader in enumerate(surfaces.shaders):
+        if shader.line is None:
+            continue
+        if index not in used_shader_indices:
+            unused_lines.append(shader.line)
+        elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
+            matte_lines.append(shader.line)
+    if unused_lines:
+        names = _format_shader_names(unused_lines)
+        remedy = 'write <shader ref="..."/> with the name in a surface, or remove the definition'
+        yield f"no surface refers to the {names}; {remedy}"
+    if matte_lines:
+        names = _format_shader_names(matte_lines)
+        reason = "because specularColor is 0 0 0"
+        yield f"exponent has no effect in the {names}, {reason}; add <specularColor>"
+
+
+def _format_shader_names(lines: list[int]) -> str:
+    """Return names such as "shader on line 3" or "shaders on lines 3, 7"."""
+    if len(lines) == 1:
+        return f"shader on line {lines[0]}"
+    listed_lines = [str(line) for line in lines[:_MAX_LISTED_LINES]]
+    ellipsis = ["..."] * (len(lines) > _MAX_LISTED_LINES)
+    return f"shaders on lines {', '.join(listed_lines + ellipsis)}"
+
+
+def _check_aspect(scene: Scene) -> Iterator[str]:
+    """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
+
+    The warning suggests a `viewWidth`, or else a number of columns, that makes the pixels square.
+    """
+    width, height = scene.width, scene.height
+    view_width, view_height = scene.camera.view_width, scene.camera.view_height
+    if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
+        window_size = f"{format_number(view_width)} x {format_number(view_height)}"
+        problem = f"a window of {window_size} is stretched over {width} x {height} pixels"
+        column_count = max(1, round(height * view_width / view_height))
+        remedy = f"viewWidth {view_height * width / height:.6g}, or {column_count} columns,"
+        yield f"{problem}; {remedy} would make them square"
+
+
+def _check_dark_lights(scene: Scene) -> Iterator[str]:
+    """Yield a warning about the first light of intensity 0."""
+    for light_index, light in enumerate(scene.lights):
+        if not any(light.intensity):
+            name = _format_light_name(scene, light_index)
+            reason = "has intensity 0 0 0: it has no effect"
+            yield f"{name} {reason}; increase the intensity, or remove it"
+            return
+
+
+def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
+    """Yield a warning about the first light that is inside a surface while the eye is outside.
+
+    A light that is inside by at most `LIGHT_TOLERANCE`, relative to the coordinates, counts as on
+    the surface.  Nothing is checked if there are too many pairs.
+    """
+    if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
+        return
+    x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
+    is_enclosed = np.concatenate(
+        [
+            shape.measure_distance(shape.objects.list_indices(), (x, y, z))
+            < -LIGHT_TOLERANCE * shape.coordinate_bound
+            for shape in prepared_scene.shapes
+        ],
+        axis=1,
+    )
+    is_enclosed &= ~prepared_scene.is_eye_inside
+    enclosed_light_index = np.flatnonzero(is_enclosed.any(axis=1))
+    if enclosed_light_index.size:
+        light_index = enclosed_light_index.item(0)
+        light_name = _format_light_name(scene, light_index)
+        surface_name = _format_surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
+        yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
+
+
+@np.errstate(all="ignore")
+def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple[str, str]:
+    """Find the reason why the picture of a scene is black, and a suggested fix."""
+    if not scene.lights:
+        return "the scene has no light", "add <light>"
+    visible_index = _find_visible_objects(prepared_scene)
+    camera_remedy = "see viewPoint, viewDir and the window"
+    if not visible_index.size:
+        if prepared_scene.bounds.is_in_picture(prepared_scene.frame).any():
+            return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
+        return "no object is in view", camera_remedy
+    shader_remedy = f"see the shader of {_format_surface_name(scene, visible_index)}"
+    # Which channels (red, green, blue) does each object reflect, and each light emit?
+    has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
+    reflects_channel = has_reflectance[:, visible_index]
+    emits_channel = np.array([light.intensity for light in scene.lights]) > 0
+    if not reflects_channel.any():
+        return "all surfaces in view are black", shader_remedy
+    if emits_channel.any() and not reflects_channel[emits_channel.any(axis=0)].any():
+        return "the surfaces in view reflect no colour of the lights", shader_remedy
+    remedy = "see the lights' positions and intensities"
+    enclosing_index = visible_index[prepared_scene.is_eye_inside[visible_index]]
+    if enclosing_index.size:
+        surface_name = _format_surface_name(scene, enclosing_index)
+        remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
+    return "no light reaches anything in view", remedy
+
+
+def _find_visible_objects(prepared_scene: PreparedScene) -> Shaped[Ints, "n"]:
+    """Find the objects that are visible through the centre of at least one pixel.
+
+    Their indices are in ascending order.
+    """
+    rows, columns = prepared_scene.window
+    index_batches = [np.zeros(0, dtype=np.intp)]
+    column_count = columns.stop - columns.start
+    if column_count > 0:
+        rows_per_batch = max(1, prepared_scene.choose_batch_size(BATCH_SIZE) // column_count)
+        for top in range(rows.start, rows.stop, rows_per_batch):
+            batch_rows = slice(top, min(top + rows_per_batch, rows.stop))
+            samples = PIXEL_CENTERS.place_in_pixels(batch_rows, columns)
+            index_batches.append(np.unique(find_nearest_hits(prepared_scene, samples).run_object))
+    return np.unique(np.concatenate(index_batches))
+
+
+def name_element(kind: str, index: int, line: int | None) -> str:
+    """Return a name for a light or a surface, such as "light 0 (line 12)"; its line may be None."""
+    return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
+
+
+def _format_light_name(scene: Scene, index: int) -> str:
+    return name_element("light", index, scene.lights[index].line)
+
+
+def _format_surface_name(scene: Scene, object_indices: Shaped[Ints, "n"]) -> str:
+    """Return the name of whichever of these objects comes first in the scene file."""
+    surface_index = scene.surfaces.file_index[object_indices].min().item()
+    return name_element("surface", surface_index, scene.surfaces[surface_index].line)
