@@ -2,9 +2,9 @@
 
     python -m reference.certify SCENE.xml --error 1/512 --judge PICTURE.png
 
-writes an antialiased picture, and states how close it is to the exact one: in linear radiance, and
-by the number of pixels for which no other 8-bit codes are possible.  For the method see
-`reference.judges.certificate`.
+writes an antialiased picture, and states how close it is to the exact one: the largest error of the
+linear radiance, and the number of pixels for which no other 8-bit codes are possible.  For the
+method see `reference.judges.certificate`.
 
 Exit status: 0, or 1 if a judged picture has codes that are certainly wrong, 2 for wrong usage, 3 if
 a file cannot be read, certified or written.

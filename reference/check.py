@@ -2,14 +2,14 @@
 
     python -m reference.check SCENE.xml ...    writes NAME.check.png
 
-Both sample the centres of the pixels.  With --flavour exact (the default), all light is compared,
-and Mitsuba uses this project's small plugins; with --flavour stock, only diffuse light is compared,
-and Mitsuba uses its built-in plugins.
+Both renderers sample the centres of the pixels.  With --flavour exact (the default), all light is
+compared, and Mitsuba uses this project's small plugins; with --flavour stock, only diffuse light is
+compared, and Mitsuba uses its built-in plugins.
 
 The verdict is one of three:
-  agrees     The pictures are equal, apart from excluded pixels.  These lie on edges, where float32
-             may show the other side, or are ties, where two surfaces coincide and Mitsuba may show
-             the other one.
+  agrees     The pictures are equal, apart from excluded pixels: pixels at edges, where float32 may
+             show the other side, and ties, where two surfaces coincide and Mitsuba may show the
+             other one.
   DIFFERS    Exact arithmetic contradicts the tracer, or the pictures differ too much as a whole.
   undecided  Exact arithmetic confirms the tracer: Mitsuba or the converter is wrong.
 
@@ -87,14 +87,14 @@ MAX_EDGE_SHARE = 0.015  # maximum share of the picture's pixels that may differ 
 MIN_SSIM = 0.999
 MAX_MEDIAN = 1e-6  # maximum median of the differences
 
-# Number of pixels in one batch of exact arithmetic, which is slow.  Each batch is spread over the
-# whole picture, so the first batch often suffices.
+# Number of pixels that are traced in one batch of exact arithmetic, which is slow.  Each batch is
+# spread over the whole picture, so the first batch often suffices.
 _PIXELS_PER_BATCH = 100
 
-# Below this relative difference of radii, float64 may show the wrong one of two surfaces.
+# If the radius of a sphere changes by this fraction, float64 may be unable to tell the difference.
 _MAX_GROWTH = 1e-12
 
-# The same for the distance of a sample from an edge, in pixels.
+# If a sample moves by this many pixels, float64 may be unable to tell the difference.
 _MAX_SHIFT = 1e-6
 
 
@@ -115,8 +115,8 @@ class CheckResult:
     is_examined: Shaped[Bools, "height width"]
     # Examined pixels in which exact arithmetic contradicts the tracer.
     is_wrong: Shaped[Bools, "height width"]
-    # Without edge pixels and ties.  In pictures brighter than 1, they are relative to the brightest
-    # pixel.
+    # Differences without edge pixels and ties.  In pictures brighter than 1, they are relative to
+    # the brightest pixel.
     metrics: Metrics
 
     @property
@@ -128,9 +128,10 @@ class CheckResult:
     def verdict(self) -> Verdict:
         """The verdict on the tracer's picture.
 
-        - "agrees": It equals Mitsuba's picture within tolerance, apart from excluded pixels.
-        - "DIFFERS": Exact arithmetic contradicts it, or a metric is out of tolerance.
-        - "undecided": It differs, but exact arithmetic finds no error in the examined pixels.
+        - "agrees": The picture equals Mitsuba's within tolerance, apart from excluded pixels.
+        - "DIFFERS": Exact arithmetic contradicts the picture, or a metric is out of tolerance.
+        - "undecided": The picture differs from Mitsuba's, but exact arithmetic finds no error in
+          the examined pixels.
         """
         if self.is_disputed.any():
             return "DIFFERS" if self.is_wrong.any() else "undecided"
@@ -213,7 +214,7 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
         Mitsuba's variant; None for the fastest that works on this machine.
     flavour
         "exact" to compare all light, using this project's Mitsuba plugins; "stock" to compare only
-        diffuse light, using Mitsuba's built-in plugins.  Others raise KeyError.
+        diffuse light, using Mitsuba's built-in plugins.  Raise KeyError for any other.
     """
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
@@ -238,7 +239,8 @@ def check_diffuse_light(scene: Scene, name: str, variant: str | None = None) -> 
     """Compare how the tracer and Mitsuba's stock plugins render the diffuse light of a scene.
 
     Stock plugins are built into Mitsuba.  They require square pixels, so the height of both
-    pictures may differ from the scene's.  Raise errors as `check_scene` does.
+    pictures may differ from the scene's.  Raise ConversionError if Mitsuba cannot represent the
+    scene, and ValueError if a radiance is not finite.
     """
     surfaces = Surfaces.from_objects(
         replace(surface, shader=Lambertian(diffuse=surface.shader.diffuse))
@@ -384,7 +386,7 @@ def _judge_differing_pixels(
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
     """Yield a scene, and variations so similar that float64 may be unable to tell them apart.
 
-    Each comes with a shift of the samples, to the right and down, in pixels.
+    Yield also the distance in pixels by which to shift the samples to the right and down.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
@@ -447,10 +449,10 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
-    """Check one scene, print the result, and write a comparison picture, as the options say.
+    """Check one scene, print the result, and write a comparison picture.
 
-    Raise Failure if the scene cannot be read, converted or compared, or the picture cannot be
-    written.
+    Of the options, `variant` and `flavour` are used.  Raise Failure if the scene cannot be read,
+    converted or compared, or the picture cannot be written.
     """
     result = check_file(path, options.variant, options.flavour)
     picture_pair = to_codes(result.tracer_image), to_codes(result.mitsuba.image)

@@ -28,9 +28,9 @@ def build_path(name: str) -> Path:
 
 
 def make_parser(module: str, quick_help: str | None = None) -> CommandParser:
-    """Create a command-line parser whose help is the docstring of a module, run by ``python -m``.
+    """Create a command-line parser for ``python -m MODULE``, whose help is the module's docstring.
 
-    With `quick_help`, which says what it reduces, the parser has an option ``--quick``.
+    `quick_help` says what the option ``--quick`` reduces; if it is None, there is no such option.
     """
     parser = CommandParser(module)
     if quick_help:

@@ -1,9 +1,9 @@
 """Convert scenes for POV-Ray, render them with it, and read its pictures.
 
 POV-Ray serves as an independent reference, and for comparisons of times.  By default, its lights do
-not fall off with distance, and its `specular` is the same Blinn-Phong lobe.  So its picture should
-equal that of the tracer, with one exception: its highlights have no colours, so a coloured
-highlight is converted to the grey of its mean.
+not fall off with distance, and its `specular` is the Blinn-Phong lobe of the scene format.  So its
+picture should equal that of the tracer, with one exception: its highlights have no colours.  A
+coloured highlight becomes grey, with the mean of its three components.
 """
 
 from __future__ import annotations
@@ -44,10 +44,7 @@ def _format_vector(numbers: Iterable[float]) -> str:
 
 
 def _convert_shader(shader: Shader) -> str:
-    """Convert a Lambertian or Blinn-Phong shader to a texture in the POV-Ray language.
-
-    A coloured highlight becomes grey, because POV-Ray has no coloured highlights.
-    """
+    """Convert a shader to a texture in the POV-Ray language; a coloured highlight becomes grey."""
     finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
         roughness = 1 / max(shader.exponent, _MIN_EXPONENT)
@@ -110,7 +107,8 @@ def prepare_command(
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
     """Return a command, as `prepare_command` does, for a picture that `read_linear_picture` reads.
 
-    It is a PPM file of linear radiance, clipped at `MAX_RADIANCE`, with 16 bits per channel.
+    The picture is a PPM file of linear radiance, clipped at `MAX_RADIANCE`, with 16 bits per
+    channel.
     """
     linear_options = ("+FP16", "File_Gamma=1.0", *options)
     return prepare_command(scene, picture_path, *linear_options, exposure=1 / MAX_RADIANCE)
@@ -132,8 +130,8 @@ def read_linear_picture(picture_path: Path) -> Shaped[NDArray[np.float64], "heig
 def render_and_time(command: Sequence[str]) -> float:
     """Run a POV-Ray command, and return the rendering time that POV-Ray reports, in seconds.
 
-    It excludes the start of the program.  Raise RuntimeError, with POV-Ray's messages, if POV-Ray
-    fails or reports no time.
+    The time excludes the start of the program.  Raise RuntimeError, with POV-Ray's messages, if
+    POV-Ray fails or reports no time.
     """
     result = subprocess.run(command, capture_output=True, text=True, errors="replace")
     time_match = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)

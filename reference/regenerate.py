@@ -1,7 +1,8 @@
 """Render the stored pictures in this folder again: ``python -m reference.regenerate``.
 
-`mitsuba/NAME.exr` are Mitsuba's pictures in the exact flavour of the converter: linear RGB, `WIDTH`
-pixels wide, one sample per pixel.  `mitsuba/manifest.json` describes how they were rendered.
+Each `mitsuba/NAME.exr` is Mitsuba's picture of a scene in the exact flavour of the converter:
+linear RGB, `WIDTH` pixels wide, one sample per pixel.  `mitsuba/manifest.json` says how the
+pictures were rendered.
 `sheet.png` shows every scene, and `sunflower.png` one scene in a larger picture, both rendered by
 the tracer.  Files that differ only by rounding, as on another processor, stay as they are.
 """
@@ -61,7 +62,7 @@ _NAME_SIZE = 13
 # makes the files smaller.
 _RADIANCE_STEP = 2.0**-20
 
-# On another processor, the last bits of radiance differ, and codes by one level.
+# On another processor, the last bits of radiance differ, which can change a code by one level.
 _MAX_CODE_DIFFERENCE = 1
 
 
@@ -122,7 +123,8 @@ def _store_image(path: Path, image: Image.Image) -> None:
 def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
     """Test whether Mitsuba's stored picture of a scene differs only by rounding from an image.
 
-    Rounding may decide which surface a pixel at an edge or a tie shows.
+    Some pixels may differ more, because rounding may decide which surface a pixel at an edge or a
+    tie shows.
     """
     if not (MITSUBA_FOLDER / f"{name}.exr").exists():
         return False

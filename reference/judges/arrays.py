@@ -1,7 +1,7 @@
 """Types of arrays, and operations on groups of their elements, for the certificate.
 
-`list_segment_elements` also exists in the tracer, under another name.  This module repeats it on
-purpose: a reference that shares code with what it validates would repeat its errors.
+The tracer has a function like `list_segment_elements`, too.  It is repeated here on purpose: a
+reference that shares code with what it validates would repeat its errors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ Index: TypeAlias = Ints | Bools
 def sum_by_index(
     index: Shaped[Ints, "n"], values: Shaped[Floats, "n"], count: int
 ) -> Shaped[Floats, "count"]:
-    """Add up the values that share an index, from 0 to count - 1; the sum of none is 0."""
+    """Add up the values that share an index, for each index from 0 to count - 1.
+
+    The sum of no values is 0.
+    """
     # Without values, np.bincount returns integers.
     return np.bincount(index, values, count).astype(np.float64, copy=False)
 
@@ -32,8 +35,8 @@ def add_at_sorted_index(
 ) -> None:
     """Add values to elements along the last axis of an array, in place.
 
-    The indices are in ascending order and may repeat: unlike ``totals[..., index] += values``, this
-    adds all values that share an index.
+    The indices are in ascending order, and may be repeated.  All values with the same index are
+    added, whereas ``totals[..., index] += values`` would add only the last one.
     """
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
     totals[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
@@ -47,6 +50,7 @@ def list_segment_elements(
     Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1 of an array.
     """
     segment_index = np.arange(lengths.size).repeat(lengths)
+    # Number of a segment's first entry in the result, minus the index of its first element.
     offset = lengths.cumsum() - lengths - starts
     return segment_index, np.arange(segment_index.size) - offset[segment_index]
 

@@ -64,7 +64,7 @@ class CellAnalysis:
     root_term_squared: Enclosures  # (8, pairs)
     _linear_term: Enclosures  # (8, pairs), of k.d
     _max_inverse_distance: Shaped[Floats, "pairs"]
-    # Directions d of the camera rays in each cell, as linear functions (see `vectors`).
+    # Directions d of the camera rays in each cell, as linear functions of X and Y (see `vectors`).
     _rays: Shaped[Floats, "3 3 cells"]
     _half_cell_size: Shaped[Floats, "2 1"]  # width and height, in the units of the rays
     edges: list[EdgeFunctions]
@@ -166,7 +166,7 @@ class CellAnalysis:
             may_have_both_signs = ~(low >= 0) & ~(high <= 0)
             index = np.flatnonzero(may_have_both_signs & has_edge)
             possible_edges.append((claim_index[index], functions.take(index), enclosures[index]))
-        # Only now it is known which claims are false.
+        # Only now is it known which claims are false.
         for claim_index, functions, enclosures in possible_edges:
             index = np.flatnonzero(~is_false[claim_index])
             edges = EdgeFunctions(
@@ -182,7 +182,7 @@ class CellAnalysis:
 
         Near a silhouette, the root term is steep, so the enclosure is wide.  The replacement
         encloses smooth_part^2 - (root_factor * root_term)^2, which has the same zeros, perhaps
-        others, but no square root.  The result is `enclosures` itself.
+        others, but no square root.  `enclosures` is changed and returned.
         """
         # On sides of boxes, there is no unknown Z: its coefficient is 0.
         function_index = np.flatnonzero(enclosures.coefficients[UNKNOWN_Z])
@@ -286,8 +286,8 @@ class CellAnalysis:
     def _find_hidden_pairs(self, covers_cell: Shaped[Bools, "pairs"]) -> Shaped[Bools, "pairs"]:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        In each cell, only one occluder is tested: the face that covers the cell and has the
-        smallest upper bound on its distance.  If both faces are in the same plane, the one whose
+        In each cell, only one occluder is tested: of the faces that cover the cell, the one with
+        the smallest upper bound on its distance.  If two faces are in the same plane, the one whose
         object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
@@ -314,8 +314,8 @@ class CellAnalysis:
     ) -> RayFunctions:
         """Express the heights of lights above faces as functions of the camera ray.
 
-        They are the heights above the tangent plane at the visible point t d, divided by t, which
-        are positive if the light is in front of the face.  Index -1 treats the eye as the light.
+        A function is the height above the tangent plane at the visible point t d, divided by t.  It
+        is positive if the light is in front of the face.  Light index -1 stands for the eye.
         """
         half_space = self.faces.height_half_space[:, light_index, self.cells.face_index[pair_index]]
         return self._express_half_space(pair_index, half_space)
@@ -336,10 +336,9 @@ class CellAnalysis:
         self.cells.is_settled[pair_index[is_unlit], light_index[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Shaped[Floats, "3 pairs"], Shaped[Floats, "3 pairs"]]:
-        """Compute the centre and the half size of a box around the visible part of each face in its
-        cell.
+        """Compute the centre and half size of a box around the part of each face in its cell.
 
-        They are along the scene's axes, and widened to allow for rounding errors.
+        The boxes are aligned with the scene's axes, and widened to allow for rounding errors.
         """
         faces, face_index, axes = self.faces, self.cells.face_index, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.cell_index]
@@ -382,9 +381,9 @@ class CellAnalysis:
     def _make_sphere_shadow_conditions(self) -> Iterator[Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a sphere.
 
-        The claims are triples.  First, the ray must meet the face inside the cone from the light
-        around the sphere.  Second, it must meet the face behind the plane in which the cone touches
-        the sphere.
+        There is a claim for each triple (see `cells`).  First, the ray must meet the face inside
+        the cone from the light around the sphere.  Second, it must meet the face behind the plane
+        in which the cone touches the sphere.
         """
         faces, cells = self.faces, self.cells
         triple_index = np.flatnonzero(cells.shadow_triples[2] < faces.sphere_count)
@@ -434,9 +433,9 @@ class CellAnalysis:
     ) -> Iterator[Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a box.
 
-        The claims are triples.  The ray must meet the face inside each half-space of the shadow
-        volume.  `casts_no_shadow` says for which triples there is certainly no shadow; the caller
-        may update it between conditions.
+        There is a claim for each triple (see `cells`).  The ray must meet the face inside each
+        half-space of the shadow volume.  `casts_no_shadow` says for which triples there is
+        certainly no shadow; the caller may update it between conditions.
         """
         pair_index, light_index, occluder_index = self.cells.shadow_triples
         # Objects are numbered with spheres first.  Spheres have a negative box index.

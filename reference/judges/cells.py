@@ -1,4 +1,4 @@
-"""Cells of the picture, with lists of the faces that may be visible and the objects that may shade.
+"""Cells of the picture, with lists of faces that may be visible and of objects that may shade them.
 
 The problem: the certificate must know every face that may be visible in a small part of the
 picture, and every object that may shade such a face, without testing all combinations.  As in
@@ -84,8 +84,8 @@ class Cells(NamedTuple):
     def split_into_quarters(self, picture_width: int, picture_height: int) -> Cells:
         """Divide each cell into four quarters with the same pairs and triples.
 
-        Quarters outside the picture, whose size is given in pixels, are dropped.  The quarters of a
-        cell are adjacent: upper left, upper right, lower left, lower right.
+        Quarters outside the picture are dropped.  The quarters of a cell are adjacent: upper left,
+        upper right, lower left, lower right.
         """
         quarter_index = np.arange(4)
         is_right, is_lower = quarter_index & 1, quarter_index >> 1

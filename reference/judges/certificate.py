@@ -26,7 +26,7 @@ Why the bounds are sound: each point of a region either shows what the centroid 
 strip.  Two errors remain:
 
 - In a strip, radiance differs from that of the region by at most the strip's *jump*: the radiance
-  of one light, or all radiance that the cell may show.
+  of the light that the edge cuts off, or the maximum radiance in the cell if the face changes.
 - If the centroid itself is in a strip, its sample may be on the wrong side of the edge.  Then
   the radiance of the whole region may be off by the jump.  This is the region's *sample error*.
 
@@ -34,9 +34,9 @@ The error of a pixel is at most the sum of these errors over its cells, weighted
 is finished if its error is at most the average that its pixel can still afford.  Other cells are
 divided.
 
-The tracer traces the samples, but only to find which surface is visible and which lights reach it.
-Its radiance is not used.  If a sample shows a face that is not listed for its cell, the certificate
-or the tracer has an error, and a RuntimeError is raised.
+The samples are traced by the tracer, but only to find which surface is visible and which lights
+reach it.  The tracer's radiance is not used.  If a sample shows a face that is not listed for its
+cell, the certificate or the tracer has an error, and a RuntimeError is raised.
 
 Rounding: positions of samples and cells have rounding errors smaller than the error bounds of the
 enclosures, which contain 1e-13 times the coordinates involved.  Areas and means of regions take
@@ -82,14 +82,14 @@ _MAX_ITEMS_PER_BATCH = 12000
 # quarters, because each edge may double the number of regions.
 _MAX_LINES = 5
 
-# Fraction of the permitted error that the settled lights of a pair may cause.
+# Fraction of the permitted error that all settled lights of a pair may cause together.
 _SETTLED_ERROR = 0.25
 
 # Minimum width of a cell in pixels.
 _MIN_WIDTH = 2.0**-10
 
-# A pixel with this many pending cells of one width is added although its bounds are too wide.  This
-# happens if the focal length is so large that rounding errors hide every edge.
+# A pixel with this many pending cells of one width is finished, although its bounds are too wide.
+# There are so many if the focal length is so large that rounding errors hide every edge.
 _MAX_PENDING_CELLS = 1 << 11
 
 # The bounds are widened by this fraction of the largest radiance, for rounding errors.
@@ -162,7 +162,7 @@ def estimate_means(
     cell_error = sum_by_index(regions.cell_index, regions.area * region_error, cell_count)
     cell_error += sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
-    # The same holds for the mean of the cell.  An error of NaN is replaced, too.
+    # The mean of the cell is also between 0 and the maximum.  An error of NaN is replaced, too.
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
     return CellEstimates(
         strips=strips,
@@ -178,7 +178,7 @@ def estimate_means(
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 cells"]:
     """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
-    It is the maximum over the faces in the cell, or 0 if there are none.
+    The bound is the maximum over the faces in the cell, or 0 if there are none.
     """
     _, face_bounds = cells.radiance.find_bounds()
     add_at_sorted_index(face_bounds, contributions.pair_index, contributions.radiance.max_abs)
@@ -228,7 +228,7 @@ def _find_contributions(
 
 
 def _divide_cells(strips: Strips, is_sampled: Shaped[Bools, "cells"]) -> Regions:
-    """Divide the sampled cells into regions; others, which have no strips, have no regions."""
+    """Divide the sampled cells into regions.  All strips lie in sampled cells."""
     sampled_cell_index = np.flatnonzero(is_sampled)
     new_index = np.cumsum(is_sampled) - 1
     renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
@@ -261,8 +261,8 @@ def _enclose_region_radiance(
 ) -> Enclosures:
     """Enclose the radiance (8, 3, regions) by tracing one sample at the centroid of each region.
 
-    It is what the visible face reflects from all settled lights, and from the unsettled lights that
-    reach the centroid.  The background has radiance 0.
+    The radiance is what the visible face reflects from all settled lights, and from the unsettled
+    lights that reach the centroid.  The background has radiance 0.
     """
     pair_index, is_lit = _trace_samples(analysis, regions)
     radiance = analysis.cells.radiance[pair_index]
@@ -354,8 +354,8 @@ class _Picture:
     def add_cells(self, cells: Cells, cell_index: Shaped[Ints, "n"], radiance: Enclosures) -> None:
         """Add the mean radiance of cells, and its error, to the pixels that they cover.
 
-        There is an enclosure, (8, 3, n) in all, for each of the selected cells.  A cell that is
-        smaller than a pixel is weighted by its area in pixels.
+        `radiance` has the shape (8, 3, n).  A cell that is smaller than a pixel is weighted by its
+        area in pixels.
         """
         pixels_across = max(int(cells.width), 1)
         area = min(cells.width, 1) ** 2  # of the part of a cell in one pixel
@@ -378,8 +378,8 @@ class _Picture:
         """Add the cells that are accurate enough to the picture, and return the others.
 
         No part of the cells may have been added yet.  A cell is accurate enough if it shows a
-        single face, and each light reaches all of this face or none of it.  `find_final_cells` may
-        select other cells of at most one pixel.
+        single face, and each light is settled.  Of the other cells of at most one pixel, those that
+        `find_final_cells` selects are also added.
         """
         self.cell_count += cells.x.size
         analysis = CellAnalysis(self.faces, cells)

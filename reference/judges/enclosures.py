@@ -63,11 +63,7 @@ class _Interval(NamedTuple):
 
 
 class Enclosures:
-    """Quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
-
-    A product or a power needs terms that an enclosure cannot represent.  Their largest absolute
-    values are added to the error bound.
-    """
+    """Quantities, each enclosed in one cell by a quadratic polynomial with an error bound."""
 
     __slots__ = ("coefficients",)
 
@@ -112,7 +108,7 @@ class Enclosures:
     def find_bounds(self) -> tuple[Shaped[Floats, "... n"], Shaped[Floats, "... n"]]:
         """Compute a lower and an upper bound on each quantity over its cell."""
         constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, coef_z, error = self.coefficients
-        # The terms with X^2 and Y^2 have the signs of their coefficients; the others, either sign.
+        # A term with X^2 or Y^2 has the sign of its coefficient, or is 0.  Others have either sign.
         spread = np.abs([coef_x, coef_y, coef_xy, coef_z]).sum(axis=0) + error
         low = constant - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
         high = constant + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
@@ -180,8 +176,8 @@ class Enclosures:
 
         All z are known to lie between `min_z` and `max_z`, which are at least 0.  The exponent may
         have either sign.  The function f is enclosed by its Taylor polynomial of degree 2.  If the
-        remainder is large, a line parallel to the chord of f is also tried, and the smaller error
-        decides.
+        remainder is large, a line parallel to the chord of f is also tried; whichever has the
+        smaller error bound is returned.
         """
         low, high = (np.clip(end, min_z, max_z) for end in self.find_bounds())
         center = 0.5 * (low + high)
@@ -217,7 +213,8 @@ class Enclosures:
         """Enclose the power of each quantity z by a linear function of z.
 
         The graph of f(z) = z^exponent lies between its chord and the parallel tangent.  The linear
-        function is two thirds of the way from the chord to the tangent, like a parabola's mean.
+        function is two thirds of the way from the chord to the tangent, where the mean of a
+        parabola would be.
         """
         exponent, low, high, f_low, f_high = interval
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)

@@ -1,6 +1,6 @@
 """Describe a scene for the certificate: faces, lights and shadows, in the camera's axes.
 
-Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
+The problem: which functions decide what a pixel shows?  A *face* is a sphere, or a
 rectangular side of a box.  Divided by the distance to the face, all that the certificate needs to
 know about a face is linear or quadratic in the direction of a camera ray, except for one square
 root:
@@ -278,7 +278,6 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
     def _set_unlit_faces(self) -> None:
-        """Set `is_unlit`."""
         is_eye_inside, lights = self.prepared_scene.is_eye_inside, self.prepared_lights
         boxes = self.boxes
         # `side` is positive for a light outside an object, negative inside, 0 on a side of a box.
@@ -300,8 +299,8 @@ class Faces:
     ) -> Shaped[Ints, "3 triples"]:
         """List the objects that may shade parts of faces from lights, as in `Cells.shadow_triples`.
 
-        A part is given by its bounding box, along the scene's axes.  The rows of the result are
-        indices of parts, lights and objects; the columns are distinct and sorted.
+        A part is given by its bounding box, which is aligned with the scene's axes.  The rows of
+        the result are indices of parts, lights and objects; the columns are distinct and sorted.
         """
         grid = self.prepared_lights.grid
         triple_keys = [np.zeros(0, np.intp)]
@@ -344,9 +343,9 @@ class Faces:
     def test_lights(
         self, hits: Hits, is_tested: Shaped[Bools, "lights hits"]
     ) -> Shaped[Bools, "lights hits"]:
-        """Test which of some lights reach each hit.
+        """Find the tested lights that reach each hit.
 
-        They are in front of the surface, and no object lies between.
+        A light reaches a hit if it is in front of the surface and no object lies between them.
         """
         may_reach = is_tested & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~find_shadows(hits, self.prepared_lights, may_reach)

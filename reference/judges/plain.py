@@ -71,8 +71,7 @@ def intersect_by_projection(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by projecting the sphere's centre onto each ray; NaN if it
-    misses.
+    """Intersect rays with a sphere by projecting its centre onto each ray; NaN for a miss.
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).
@@ -95,7 +94,7 @@ def intersect_by_formula(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by the quadratic formula of most textbooks; NaN if it misses.
+    """Intersect rays with a sphere by the quadratic formula of most textbooks; NaN for a miss.
 
     The error grows with the square of the distance from the origin to the sphere.
     """
@@ -111,7 +110,7 @@ def intersect_by_expansion(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by an expanded form of the quadratic formula; NaN if it misses.
+    """Intersect rays with a sphere by an expanded form of the quadratic formula; NaN for a miss.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
     with the square of the distance between origin and sphere, and with the squares of their
@@ -203,8 +202,9 @@ class _PlainTracer:
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and select methods as in `trace`; KeyError if one is
-        unknown.
+        """Convert a scene to a number type, and select methods (see the function `trace`).
+
+        Raise KeyError if a method is unknown.
         """
         to_precision, relative_tolerance = ARITHMETICS[arithmetic]
         self.scene = scene
@@ -317,8 +317,9 @@ class _PlainTracer:
         return near.max(axis=0), far.min(axis=0)
 
     def trace(self, x: Shaped[Array, "n"], y: Shaped[Array, "n"]) -> TracedRays:
-        """Trace a camera ray through each position in the picture, as `compute_ray_directions`
-        does.
+        """Trace a camera ray through each position in the picture.
+
+        The positions are in pixels right and down from the upper left corner.
         """
         direction = self.compute_ray_directions(x, y)
         closest_t, visible_index = self.find_closest_hits(direction)
@@ -505,11 +506,10 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
 def render(
     scene: Scene, offset: Sequence[float] = (0, 0), **methods: str
 ) -> Shaped[Array, "height width 3"]:
-    """Render a scene with one sample per pixel, in linear RGB, testing every ray against every
-    object.
+    """Render a scene with one sample per pixel, in linear RGB.
 
-    All samples are shifted from the centres of their pixels by `offset`, in pixels right and down.
-    The methods are those of `trace`.
+    Every ray is tested against every object.  All samples are shifted from the centres of their
+    pixels by `offset`, in pixels right and down.  For the methods see `trace`.
     """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     traced = trace(scene, x + offset[0], y + offset[1], **methods)

@@ -1,7 +1,7 @@
 """Functions of the camera ray, whose signs decide questions and whose zeros are possible edges.
 
-The form smooth_part + root_factor * root_term, and *pairs*, are explained in `cell_analysis` and
-`cells`.
+Every function has the form smooth_part + root_factor * root_term, which `cell_analysis` explains.
+A *pair* is a face that may be visible in a cell (see `cells`).
 """
 
 from __future__ import annotations
@@ -69,8 +69,9 @@ def enclose_cone(
     """Enclose a function that is positive at points inside the cone around a sphere.
 
     The cone consists of all lines that contain its apex and meet the sphere.  Let c be the sphere's
-    centre and q a point, both relative to the apex, and let r be the radius.  The function is r^2
-    |q|^2 - |c x q|^2.
+    centre and q a point, both relative to the apex, and let r be the radius.  The line from the
+    apex through q has the distance |c x q| / |q| from the centre.  So the function is
+    r^2 |q|^2 - |c x q|^2.
 
     Parameters
     ----------

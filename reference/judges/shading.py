@@ -1,6 +1,6 @@
 """Enclose the radiance that faces reflect in cells of the picture, light by light.
 
-Terms are those of `cells` and `cell_analysis`.
+Pairs, settled lights and triples are defined in `cells`, and visible points in `cell_analysis`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def shade(
 ) -> Contributions:
     """Compute the radiance from unsettled lights, and settle those with accurate results.
 
-    A light is settled if no terminator or shadow edge of the light can cross the cell, and its
-    radiance is accurate enough: each light may cause an equal part of `permitted_error`, in any
-    channel.  Its radiance is then added to `cells.radiance`.  Return the radiance that each
+    A light is settled if no terminator or shadow edge of the light can cross the cell, and the
+    error of its radiance, in each channel, is at most `permitted_error` divided by the number of
+    lights.  Its radiance is then added to `analysis.cells.radiance`.  Return the radiance that each
     remaining unsettled light adds to each requested pair.
     """
     contributions = _enclose_contributions(analysis, is_requested)
@@ -97,10 +97,9 @@ def _enclose_n_dot_h(
 ) -> Enclosures:
     """Enclose n.h (8, n) at the visible point, for some pairs and lights, sorted by pair.
 
-    Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
-    unit vector halfway between them.  Then n.h = (n.l + n.v) / |l + v|, and
-    |l + v|^2 = 2 + 2 l.v.  `light_dot_eye` encloses the dot product of the vectors to the light
-    and to the eye, whose lengths are not 1, divided by t^2.
+    Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the unit
+    vector halfway between l and v.  Then n.h = (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v.
+    `light_dot_eye` encloses (q - p).(-p) / t^2, with the visible point p = t d and the light q.
     """
     cell_index = analysis.cells.cell_index
     distinct_pair_index, pair_number = np.unique(pair_index, return_inverse=True)

@@ -18,8 +18,8 @@ _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 
 
 def compute_squared_length(vectors: Shaped[Floats, "3 3 n"]) -> Shaped[Floats, "6 n"]:
-    """Compute squared lengths: the coefficients of 1, X, Y, X^2, X Y and Y^2."""
-    # Pairs of coefficients come in this order, too.
+    """Compute squared lengths as coefficients of 1, X, Y, X^2, X Y and Y^2."""
+    # This yields the pairs of coefficients in the same order: 1 1, 1 X, 1 Y, X X, X Y and Y Y.
     pairs = combinations_with_replacement(vectors.swapaxes(0, 1), 2)
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in pairs])
 
@@ -29,7 +29,7 @@ def compute_cross_product(
 ) -> Shaped[Floats, "3 k n"]:
     """Compute the cross products of constant vectors with vectors that depend on X and Y.
 
-    The second factors, and the products, have k coefficients for each component.
+    Each component of a product has as many coefficients as one of the second vector: k.
     """
     first_factor = constant_vectors[:, None]
     return first_factor[_YZX] * vectors[_ZXY] - first_factor[_ZXY] * vectors[_YZX]
