@@ -58,6 +58,12 @@ def _measure_seconds_per_task(task_count: int) -> float:
         return (perf_counter() - start_time) / task_count
 
 
+def _format_cost_row(name: str, seconds_per_frame: float) -> tuple[str, ...]:
+    core_hours = seconds_per_frame * _FRAME_COUNT / 3600
+    cost = core_hours * _DOLLARS_PER_CORE_HOUR
+    return name, f"{1e3 * seconds_per_frame:.0f}", f"{core_hours:,.0f}", f"${cost:,.2f}"
+
+
 def main() -> None:
     """Measure the costs and limits of rendering on a cluster; write and print `cluster.md`."""
     arguments = make_parser("reference.cluster", quick_help="few and small frames").parse_args()
@@ -77,12 +83,8 @@ def main() -> None:
         " the other programs start once. The price of a core is an assumption. The tracer's PNG"
         f" files take {png_size * _FRAME_COUNT / 1e9:,.0f} GB.",
         ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
-        [
-            (name, f"{1e3 * seconds:.0f}", f"{(hours := seconds * _FRAME_COUNT / 3600):,.0f}",
-             f"${hours * _DOLLARS_PER_CORE_HOUR:,.2f}")
-            for name, seconds in cpu_seconds.items()
-        ],
-    )  # fmt: skip
+        [_format_cost_row(name, seconds) for name, seconds in cpu_seconds.items()],
+    )
     limit_table = format_section(
         "What would break first",
         f"Measured: Dask's scheduler takes {1e3 * seconds_per_task:.2f} ms per task, and a PNG file"

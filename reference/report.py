@@ -139,9 +139,7 @@ def _format_time(seconds: float) -> str:
 
 
 def _read_comment(path: Path) -> str:
-    """Read the first comment before the root element of a scene file as one line; "" without a
-    comment.
-    """
+    """Read the first comment before the root of a scene file, as one line; "" if there is none."""
     with path.open("rb") as file:
         first_events = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
         comments = [element.text or "" for event, element in first_events if event == "comment"]
@@ -197,10 +195,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Compare a scene file's pictures, under this name, and read the comment at the file's
-    beginning.
+    """Compare a scene file's pictures, and read the comment at the beginning of the file.
 
-    Raise Failure if the scene cannot be read or compared.
+    The result has the given name.  Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import accumulate, product
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -115,6 +115,18 @@ _FOOTER_HEIGHT = 0.7
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
+# A method, and a number that tells apart the series of pictures that the method renders.
+_Series: TypeAlias = tuple[str, int]
+
+
+class _RenderingTask(NamedTuple):
+    """A function to be timed, and the samples of its picture."""
+
+    samples: str  # see `_COLUMNS`
+    # Return an image; for POV-Ray, the time that it reports, which does not include its start.
+    render: Callable[[], Any]
+
+
 class _Point(NamedTuple):
     """A point of a curve."""
 
@@ -134,38 +146,43 @@ def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Shaped[Floats
     return np.asarray(sum(images)) / samples_per_side**2
 
 
-def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make the functions to be timed, by method and factor, for all methods except POV-Ray.
-
-    Each function returns an image with factor * 4**level samples per pixel.  The certified tracer
-    instead permits an error of 1 / (factor * 4**level).
-    """
+def _make_rendering_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingTask]:
+    """Make the tasks of one level, for all methods except POV-Ray."""
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     mitsuba_xml = convert(scene, "exact", 4**level).replace('"stratified"', '"multijitter"')
     loaded_scene = mi.load_string(mitsuba_xml)
+    samples = 4**level
+    # Sample counts between the powers of four: 9, 36, 144, ...
+    more_samples = 9 * samples
+    reciprocal_error = 8 * samples
+    functions: dict[_Series, tuple[int, Callable[[], Any]]] = {
+        (_TRACER, 0): (samples, partial(render, scene, samples)),
+        (_TRACER, 1): (more_samples, partial(render, scene, more_samples)),
+        (_CERTIFIED_TRACER, 0): (
+            reciprocal_error,
+            lambda: certify(scene, 1 / reciprocal_error).image,
+        ),
+        (_GRID, 0): (samples, partial(render_supersampled, scene, 2**level)),
+        (_ALL_PAIRS, 0): (samples, partial(_render_by_brute_force, scene, 2**level)),
+        (_MITSUBA, 0): (samples, lambda: np.array(mi.render(loaded_scene))),
+    }
     return {
-        (_TRACER, 1): partial(render, scene, 4**level),
-        # Sample counts between the powers of four: 9, 36, 144, ...
-        (_TRACER, 9): partial(render, scene, 9 * 4**level),
-        (_CERTIFIED_TRACER, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
-        (_GRID, 1): partial(render_supersampled, scene, 2**level),
-        (_ALL_PAIRS, 1): partial(_render_by_brute_force, scene, 2**level),
-        (_MITSUBA, 1): lambda: np.array(mi.render(loaded_scene)),
+        series: _RenderingTask(samples=str(count), render=function)
+        for series, (count, function) in functions.items()
     }
 
 
-def _make_povray_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make functions that run POV-Ray, by method and index of the schedule.
-
-    They return the time that POV-Ray reports, which does not include its start.
-    """
-    tasks: dict[tuple[str, int], Callable[[], Any]] = {}
+def _make_povray_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingTask]:
+    """Make the tasks of one level for POV-Ray, a series for each schedule."""
+    tasks: dict[_Series, _RenderingTask] = {}
     for index, schedule in enumerate(_POVRAY_SCHEDULES if povray.is_installed() else ()):
         if level in schedule:
             options = "+AM2", *schedule[level].split(), "-J"
             picture_path = build_path(_POVRAY_PICTURE)
             command = povray.prepare_linear_command(scene, picture_path, *options)
-            tasks[_POVRAY, index] = partial(povray.render_and_time, command)
+            tasks[_POVRAY, index] = _RenderingTask(
+                samples=schedule[level], render=partial(povray.render_and_time, command)
+            )
     return tasks
 
 
@@ -179,22 +196,24 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     # Errors smaller than the error of a coarser reference are too uncertain to be shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = compute_rms_error(less_accurate_image, reference_image)
-    finished_tasks: set[tuple[str, int]] = set()
+    finished_series: set[_Series] = set()
     for level in range(_QUICK_LEVEL_COUNT if quick else _LEVEL_COUNT):
         tasks = _make_rendering_tasks(scene, level) | _make_povray_tasks(scene, level)
-        tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
-        for (method, factor), timing in time_alternately(tasks, _MIN_ROUNDS).items():
-            result = tasks[method, factor]()
-            samples = str(factor * 4**level)
+        tasks = {series: task for series, task in tasks.items() if series not in finished_series}
+        timings = time_alternately(
+            {series: task.render for series, task in tasks.items()}, _MIN_ROUNDS
+        )
+        for series, timing in timings.items():
+            method, _ = series
+            result = tasks[series].render()
             if method == _POVRAY:
                 result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
-                samples = _POVRAY_SCHEDULES[factor][level]
             image = np.asarray(result, dtype=np.float64)  # Mitsuba's is float32
             error = compute_rms_error(image, reference_image)
             if error > min_error:
-                yield (name, method, samples, error, *timing)
+                yield (name, method, tasks[series].samples, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:
-                finished_tasks.add((method, factor))
+                finished_series.add(series)
         tasks.clear()  # delete Mitsuba's scene before the next one is loaded
 
 
@@ -248,8 +267,8 @@ def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
 def _find_curve(rows: Sequence[Sequence[str]], method: str) -> list[_Point]:
     """Find the points of a method's curve, from few samples to many.
 
-    If points have the same error, only the one with the most samples is kept.  POV-Ray's points are
-    those at which no other setting is both faster and more accurate.
+    If points have the same error, only the one with the most samples is kept.  Of POV-Ray's points,
+    only those are kept for which no other setting is both faster and more accurate.
     """
     points = [
         _Point(samples=row[1], error=float(row[2]), seconds=float(row[3]))

@@ -52,8 +52,8 @@ def _build_scene(
 ) -> Scene:
     """Build a scene of spheres under one light.
 
-    The window consists of its distance from the eye, its width and its height.  The picture is
-    `pixels` wide, and its pixels are square.
+    `window` contains the window's distance from the eye, its width and its height.  The picture is
+    `pixels` pixels wide, and its pixels are square.
     """
     distance, width, height = window
     window_sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
@@ -82,8 +82,8 @@ def build_distant_sphere_scene(distance: float, width: float = 1, height: float 
 def build_silhouette_scene(distance: float) -> Scene:
     """Build a scene with a close-up of a unit sphere's silhouette.
 
-    The eye is at the given distance from the silhouette.  The picture shows a strip, 2**-20 wide,
-    on each side of it.  The camera rays are exact in float64.
+    The eye is at the given distance from the silhouette.  On each side of the silhouette, the
+    picture shows a strip that is 2**-20 wide.  The camera rays are exact in float64.
     """
     return _build_scene(
         eye=(1, 0, distance),
@@ -175,7 +175,7 @@ def measure_wrong_pixels(
 ) -> float:
     """Compute the percentage of pixels that are dark but should be lit, or vice versa.
 
-    They have a channel that is 0 in one image and above 0 in the other.
+    Such a pixel has a channel that is 0 in one image and above 0 in the other.
     """
     return 100 * float(((image > 0) != (exact_image > 0)).any(axis=2).mean())
 

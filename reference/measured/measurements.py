@@ -63,10 +63,10 @@ def time_alternately(
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
-    Each round runs every task once.  There are at least `min_rounds` rounds.  Further ones run each
-    task until its times add up to `min_seconds`, or until there are five times as many.  Before the
-    first round, every task runs once untimed.  Short tasks also run untimed before each of their
-    rounds.
+    Each of the first `min_rounds` rounds runs every task once.  Further rounds run only tasks whose
+    times add up to less than `min_seconds`.  There are at most `_MAX_ROUNDS_FACTOR` * `min_rounds`
+    rounds.  Before the first round, every task runs once untimed; short tasks also run untimed
+    before each of their rounds (see `_MAX_WARM_UP_SECONDS`).
     """
     warm_up_seconds = {}
     for name, task in tasks.items():
@@ -90,7 +90,7 @@ def time_alternately(
 def make_command_task(command: Sequence[str]) -> Task:
     """Make a function that runs a command in a new process and discards its output.
 
-    It waits for the command, and raises CalledProcessError if the command fails.
+    The function waits for the command, and raises CalledProcessError if the command fails.
     """
     # Without this variable, Python stores compiled modules, so only the first run compiles them.
     environment = {**os.environ}

@@ -110,7 +110,10 @@ def build_dust_scene(ball_count: int) -> Scene:
 
 
 def build_dim_lights_scene(light_count: int) -> Scene:
-    """Build a scene of a ball before a wall, in 24 x 24, under many lights of 1.2 in all."""
+    """Build a scene of a ball before a wall, whose lights have a total intensity of 1.2.
+
+    The picture has 24 x 24 pixels.
+    """
     position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (light_count, 3))
     intensity = (1.2 / light_count,) * 3
     lights = [PointLight(position=each, intensity=intensity) for each in position]
@@ -124,7 +127,11 @@ def build_dim_lights_scene(light_count: int) -> Scene:
 def _build_ball_scene(
     center: Floats, boxes: list[tuple[Vector, Vector]], light: Vector, radius: float = 0.08
 ) -> Scene:
-    """Build a scene of balls (centres of shape (n, 3)) and boxes, seen from above, in 96 x 54."""
+    """Build a scene of balls and boxes, seen from above.
+
+    `center` has the shape (n, 3).  A box is given by its lower and upper corners.  The picture has
+    96 x 54 pixels.
+    """
     min_pt, max_pt = zip(*boxes, strict=True)
     surface_count = len(center) + len(boxes)
     surfaces = Surfaces(
@@ -142,7 +149,7 @@ def _build_ball_scene(
 
 
 def build_small_ball_scene() -> Scene:
-    """Build a large picture, 2560 x 1440, of one ball that is a thousandth of it wide."""
+    """Build a scene of one ball, which is a thousandth as wide as its picture, 2560 x 1440."""
     camera = Camera(view_point=(0, 0, 10), view_width=1.6, view_height=0.9)
     ball, lights = Sphere(radius=0.008), _make_lights((3, 4, 5))
     return Scene(camera=camera, width=2560, height=1440, lights=lights, surfaces=[ball])

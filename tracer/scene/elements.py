@@ -54,14 +54,17 @@ class Element(list["Element"]):
     tag: str
     attrib: dict[str, str]
     line: int  # where the element begins
-    text: str  # where none is allowed: the first text that was reported as an error
+    # Text inside the element.  If the element must not contain text, the first text that was
+    # reported as an error.
+    text: str
 
 
 def open_scene(path: str) -> IO[bytes]:
     """Open a scene file for reading if it is a regular file of at most `MAX_BYTES`.
 
-    Pipes, devices and other special files are refused, because reading them might never end.
-    FatalError is raised for these and for invalid paths, OSError if the file cannot be opened.
+    Pipes, devices and other special files are refused, because reading them might never end.  Raise
+    FatalError for these, for folders, for larger files and for invalid paths, and OSError if the
+    file cannot be opened.
     """
     try:
         file_status = os.stat(path)
@@ -81,8 +84,8 @@ class Parser:
     """A streaming parser of one scene file.
 
     `read_element` is called with the root, which has no children yet, and then with each complete
-    child of the root.  `report_at` is called for text that is not allowed: with its line, the tag
-    of its element, and the error message.
+    child of the root.  If text is not allowed, `report_at` is called with the line of the text, the
+    tag of its element, and the error message.
     """
 
     open_elements: list[Element]  # those whose end tag has not been parsed yet, the root first
@@ -112,8 +115,8 @@ class Parser:
     def parse(self, file: IO[bytes]) -> None:
         """Parse a whole scene file.
 
-        FatalError is raised if the file is not well-formed XML, or exceeds a limit; elements before
-        the error have then been passed on.  TypeError is raised if `file` returns text.
+        Raise FatalError if the file is not well-formed XML, or exceeds a limit; elements before the
+        error have then been passed on.  Raise TypeError if `file` returns text.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -130,9 +133,9 @@ class Parser:
             self.expat = None
 
     def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
-        """Parse the next bytes of a scene file: none at its end.
+        """Parse the next bytes of a scene file; at its end, `chunk` is empty.
 
-        After a syntax error, more bytes are read from `file` to diagnose it.
+        After a syntax error, more bytes are read from `file` to diagnose the error.
         """
         self.recent_bytes = self.recent_bytes[-_KEPT_BYTES:] + chunk
         self.byte_count += len(chunk)

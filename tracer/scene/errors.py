@@ -27,7 +27,7 @@ class ErrorCollector:
     def report_at(self, line: int, tag: str, message: str) -> None:
         """Record an error in an element, at a line of the file.
 
-        FatalError is raised if there are already `MAX_ERRORS` errors.
+        Raise FatalError if there are already `MAX_ERRORS` errors.
         """
         if len(self.errors) == MAX_ERRORS:
             last_line = max(line for line, _ in self.errors)
@@ -41,7 +41,7 @@ class ErrorCollector:
     def report_invalid_type(self, element: Element, types: Iterable[str], *attributes: str) -> None:
         """Report that the type of a shader or surface is missing or unknown.
 
-        Unknown attributes are reported, too; allowed are `attributes` and "type".
+        Attributes other than `attributes` and "type" are reported, too.
         """
         intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
@@ -57,7 +57,7 @@ class ErrorCollector:
     ) -> str | None:
         """Report a child with an unknown tag, and return the tag that was probably meant, or None.
 
-        `allowed_tags` are those that children of the parent may have.
+        `allowed_tags` are the tags that children of the parent may have.
         """
         if element.tag in SCENE_TAGS:
             remedy = f"close the {parent.tag} on line {parent.line} first"
@@ -81,8 +81,9 @@ class ErrorCollector:
     ) -> set[str | None]:
         """Report all unknown attributes of an element.
 
-        An attribute may be a misplaced child, which may have one of the `child_tags`.  Return the
-        names that were probably meant; None for one that is unclear.
+        An attribute may have been written in place of a child element; `child_tags` are the tags
+        that children may have.  Return the names that were probably meant, with None for an
+        attribute whose meaning is unclear.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():

@@ -97,9 +97,9 @@ def suggest_syntax_fix(
     before, after
         The bytes of the file just before the error, and from the error on.
     elements
-        Those that are still open at the error, starting with the root.
+        The elements that are still open at the error, starting with the root.
     encoding
-        As the file declares it; "" if it declares none.
+        The encoding that the file declares; "" if it declares none.
     """
     # The file is in UTF-8, but declares another encoding.  (Expat does not know the name "utf8".)
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
@@ -158,7 +158,7 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    Besides a tag, the suggested name may be other text.
+    The name in the suggestion is a tag, or other text to write.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if not replacement:
@@ -169,7 +169,10 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
 
 
 def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
-    """Explain why words are not valid numbers: equal words once, and commas once for all words."""
+    """Yield explanations why words are not valid numbers.
+
+    Equal words are explained once, and of all words with commas only the first.
+    """
     is_comma_explained = False
     for word in dict.fromkeys(words):
         is_about_comma = word.isascii() and "," in word

@@ -382,9 +382,9 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...],
         line: ArrayLike,
     ) -> Surfaces:
-        """Copy and validate tables, as in `Surfaces.tables`.
+        """Copy and validate tables of numbers (see `tables`).
 
-        Other arguments are those of the constructor.
+        For the other arguments, see the class.
         """
         surfaces = cls.__new__(cls)
         surfaces._fill(tables, shader_index, file_index, shaders, line)

@@ -107,21 +107,22 @@ def load_scene(source: FileOrPath) -> Scene:
 class _Reader(ErrorCollector):
     """A reader of one scene file: it collects the elements in tables, then creates the scene."""
 
-    # By their tags: the root, and the first <camera> and <image>.
+    # The root, and the first <camera> and <image>, by their tags.
     unique_elements: dict[str, Element]
-    # Tags that unknown tags probably mean; elements with these are not reported as missing.
+    # Tags that were probably meant by unknown tags.  Elements with an intended tag are not reported
+    # as missing.
     intended_tags: set[str | None]
     empty_scene: Scene  # has the size of the picture
-    cameras: Table  # of which a valid file has one
+    cameras: Table  # one row in a valid file
     lights: Table
-    # By the value of the attribute `type`, such as "Sphere".
+    # Tables by the value of the attribute `type`, such as "Sphere".
     shader_tables: dict[str, Table]
     surface_tables: dict[str, Table]
     surface_counter: Iterator[int]  # yields the index of the next surface
     # A named shader gets its index at its first reference or at its definition.
     index_of_name: dict[str, int]
     # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0 is
-    # the default, white.
+    # the default, white; it counts as defined on line 1.
     definition_lines: array[int]
 
     def __init__(self) -> None:
@@ -140,7 +141,7 @@ class _Reader(ErrorCollector):
     def read(self, file: IO[bytes]) -> None:
         """Read a scene file into the tables; errors are added to `errors`.
 
-        FatalError is raised if the rest of the file cannot be read.
+        Raise FatalError if the rest of the file cannot be read.
         """
         try:
             Parser(self.read_element, self.report_at).parse(file)
@@ -178,7 +179,7 @@ class _Reader(ErrorCollector):
             self.intended_tags.add(self.report_unknown_element(element, root, SCENE_TAGS))
 
     def read_root(self, element: Element) -> None:
-        """Check and store the root; FatalError is raised if it is not that of a scene file."""
+        """Check and store the root; raise FatalError if it is not the root of a scene file."""
         if element.tag != "scene":
             raise FatalError(element.line, f"{shorten(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
@@ -265,9 +266,9 @@ class _Reader(ErrorCollector):
         return self.find_or_add_shader(name)
 
     def find_or_add_shader(self, name: str | None) -> int:
-        """Return the index of a shader by its name.
+        """Return the index of the shader with a name.
 
-        A shader with a new name gets the next free index, and so does one without a name.
+        If the name is new or None, the shader gets the next free index.
         """
         new_index = len(self.definition_lines)
         index = new_index if name is None else self.index_of_name.setdefault(name, new_index)
@@ -278,15 +279,8 @@ class _Reader(ErrorCollector):
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
         """Read a camera, light, shader or surface into a new row of a table.
 
-        Parameters
-        ----------
-        attributes
-            Names of the attributes that the element may have.
-
-        Returns
-        -------
-        children : dict of str to Element
-            For each field name, the child element that gives the field's value.
+        `attributes` are the names of the attributes that the element may have.  Return the child
+        elements that give the values of fields, by the names of the fields.
         """
         children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
@@ -306,21 +300,11 @@ class _Reader(ErrorCollector):
     ) -> tuple[dict[str, Element], set[str | None]]:
         """Match the children of an element to dataclass fields by tag.
 
-        Unknown attributes, and unknown and duplicate children, are reported as errors.
+        `attributes` are the names of the attributes that the element may have.  Unknown attributes,
+        and unknown and duplicate children, are reported as errors.
 
-        Parameters
-        ----------
-        field_of_tag
-            For each tag that a child may have, the name of its field.
-        attributes
-            Names of the attributes that the element may have.
-
-        Returns
-        -------
-        children : dict of str to Element
-            For each field name, the child element that gives the field's value.
-        intended_names : set of (str or None)
-            The names probably meant by unknown attributes and tags; None for one that is unclear.
+        Return the children by the names of their fields, and the names that were probably meant by
+        unknown attributes and tags, with None if one is unclear.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -339,7 +323,8 @@ class _Reader(ErrorCollector):
     def read_numbers(self, element: Element, validator: NumberValidator) -> list[float]:
         """Read the numbers in an element such as <center>.
 
-        They are validated later.  If a word is no number, or their count is wrong, all are NaN.
+        The numbers are validated later.  If a word is not a number, or the count of numbers is
+        wrong, the error is reported, and all numbers of the result are NaN.
         """
         if element or element.attrib:  # children and attributes are errors here
             self.match_children(element, {})

@@ -244,7 +244,7 @@ def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
 def validate_picture_side(value: int, name: str) -> int:
     """Validate the width or height of a picture, and convert it to a Python int.
 
-    Products of NumPy integers may overflow.
+    The conversion is necessary, because products of NumPy integers may overflow.
     """
     try:
         side = int(operator.index(value))

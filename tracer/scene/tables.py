@@ -48,15 +48,18 @@ def parse_numbers(text: str, number_count: int) -> list[float]:
 
 
 class Column:
-    """The rows of a numeric field, each of which is read from an element inside the object's."""
+    """The rows of a numeric field.
+
+    A row is read from a child of the object's element, such as the <center> of a sphere.
+    """
 
     validator: NumberValidator
-    tags: tuple[str, ...]  # that the elements may have; nearly all fields have only one
-    default: Any  # value if the element is absent; `dataclasses.MISSING` if it is required
+    tags: tuple[str, ...]  # the tags that the child may have; nearly all fields have only one
+    default: Any  # value if the child is absent; `dataclasses.MISSING` if it is required
     default_row: list[float]  # the numbers of the default; NaN if there is none
     numbers: array[float]  # row after row; NaN for unknown and invalid numbers
-    lines: array[int]  # for each row, the line of the element; 0 if it is absent
-    tag_indices: array[int]  # for each row, the index of the element's tag in `tags`
+    lines: array[int]  # for each row, the line of the child; 0 if it is absent
+    tag_indices: array[int]  # for each row, the index of the child's tag in `tags`
 
     def __init__(self, field: Field[Any]) -> None:
         self.validator = field.metadata["validator"]
@@ -69,9 +72,9 @@ class Column:
         self.tag_indices = array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append the numbers, the line and the tag of an element.
+        """Append the numbers, the line and the tag of a child.
 
-        If the element is absent, they are `default_row`, 0 and any tag.
+        If the child is absent, the caller gives `default_row`, 0 and any of the tags.
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
@@ -83,7 +86,7 @@ class Column:
     def get_values(self) -> Iterable[Any]:
         """Return the field's values as the dataclass stores them: floats, or tuples of floats."""
         if not any(self.lines):
-            # No element is present.  (Its default may be None.)  The rows share one tuple.
+            # The child is absent in all objects.  The default may be None.  All rows share it.
             return repeat(self.default, len(self.lines))
         components = self.to_array().T.tolist()
         return zip(*components, strict=True) if len(components) > 1 else components[0]
@@ -92,9 +95,9 @@ class Column:
 class Table:
     """The objects of one dataclass in a scene file, one in each row."""
 
-    dataclass: type[schema.Validated]  # the metadata of its fields contain tags and validators
+    dataclass: type[schema.Validated]
     field_of_tag: dict[str, str]  # names of all fields, by the tags that define them in a file
-    columns: dict[str, Column]  # those of all numeric fields, by the field's name
+    columns: dict[str, Column]  # the columns of all numeric fields, by the field's name
     lines: array[int]  # for each row, the line of the object
     # In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
     object_indices: array[int]
