@@ -24,14 +24,14 @@ from reference.judges import plain
 from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias.lattice import PIXEL_CENTERS
-from tracer.arrays import Bools, Floats, Ints
+from tracer.arrays import Bools, Floats
 from tracer.geometry.camera import ScreenBounds, compute_frame
 from tracer.geometry.sphere import Spheres
 from tracer.picture.render import PROCESSES, RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import compute_radiance
-from tracer.trace.samples import Scattered
+from tracer.trace.samples import ObjectSpans, Scattered
 from tracer.world import light_grid, prepared_scene
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
@@ -54,11 +54,12 @@ def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
 
 def _cover_whole_rows(
     shape: Shape, scene: PreparedScene, row_top: Floats, x_range: tuple[float, float], **_: float
-) -> tuple[Ints, Ints, Floats, Floats]:
+) -> ObjectSpans:
     """Stand in for `find_object_spans`: every object covers every row."""
     row, index_in_shape = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)
     left, right = np.full((row.size, 2), x_range).T
-    return index_in_shape + shape.objects.start, row, left, right
+    object_index = index_in_shape + shape.objects.start
+    return ObjectSpans(object_index=object_index, row=row, left=left, right=right)
 
 
 @np.errstate(all="ignore")

@@ -165,7 +165,7 @@ class ScreenBounds(NamedTuple):
         """
         top, bottom = (frame.to_picture_y(slope * frame.depth) for slope in y_slopes)
         left, right = (frame.to_picture_x(slope * frame.depth) for slope in x_slopes)
-        return cls(top, bottom, left, right)
+        return cls(top=top, bottom=bottom, left=left, right=right)
 
     def select(self, selection: Shaped[Bools, "n"] | slice) -> ScreenBounds:
         """Select rectangles by mask or slice."""

@@ -172,9 +172,13 @@ def _query_grid(
     """
     for first_packet in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
         packet_slice = slice(first_packet, first_packet + _PACKETS_PER_QUERY)
-        center, radius = packets.center[:, packet_slice], packets.radius[packet_slice]
-        owner, is_active = packets.object_index[packet_slice], packets.may_be_lit[:, packet_slice]
-        for candidates in grid.query(center, radius, owner, is_active):
+        triples = grid.query(
+            packets.center[:, packet_slice],
+            packets.radius[packet_slice],
+            packets.object_index[packet_slice],
+            packets.may_be_lit[:, packet_slice],
+        )
+        for candidates in triples:
             candidates[1] += first_packet
             for shape in shapes:
                 group = candidates.take(find(shape.objects.contains(candidates[2])), axis=1)
@@ -262,11 +266,12 @@ def find_shadows(
     not face at the hit.
     """
     is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
-    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light):
-        is_blocking = _test_blocking(hits, lights, shape, candidates)
-        light_index, hit_index, _ = candidates[:, is_blocking]
+    for occluders in _find_occluders(hits, lights, faces_light):
+        is_blocking = _test_blocking(hits, lights, occluders.shape, occluders.candidates)
+        light_index, hit_index, _ = occluders.candidates[:, is_blocking]
         put_2d(is_blocked, light_index, hit_index, True)
-        put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
+        shaded_light, shaded_hit = occluders.shaded_pairs
+        put_2d(is_blocked, shaded_light, shaded_hit, True)
     return is_blocked
 
 
@@ -296,12 +301,14 @@ def find_shadow_edges(
     is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     light_count, hit_count = faces_light.shape
     edge_set = _EdgeSet(light_count, hit_count, hits.scene.position_error.size)
-    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
-        test = _test_footprints(hits, lights, shape, candidates, radius)
+    for occluders in _find_occluders(hits, lights, faces_light, radius):
+        candidates = occluders.candidates
+        test = _test_footprints(hits, lights, occluders.shape, candidates, radius)
         light_index, hit_index, _ = candidates
         put_2d(is_blocked, light_index[test.is_blocking], hit_index[test.is_blocking], True)
         put_2d(is_covered, light_index[test.is_covering], hit_index[test.is_covering], True)
-        put_2d(is_covered, shaded_pairs[0], shaded_pairs[1], True)
+        shaded_light, shaded_hit = occluders.shaded_pairs
+        put_2d(is_covered, shaded_light, shaded_hit, True)
         is_facing = take_2d(faces_light, light_index, hit_index)
         edge_set.add(candidates[:, test.has_edge & is_facing])
     edges = edge_set.get_edges()
@@ -389,17 +396,23 @@ def _build_row_packets(
     The last packet of a run may have fewer than `max_hits` hits.
     """
     run_length = np.diff(hits.run_start)
-    run_index, offset_in_run = enumerate_ranges(-(-run_length // max_hits))
-    offset_in_run *= max_hits
+    packets_per_run = -(-run_length // max_hits)  # rounded up
+    run_index, packet_in_run = enumerate_ranges(packets_per_run)
+    offset_in_run = packet_in_run * max_hits
     first_hit = hits.run_start[run_index] + offset_in_run
-    hit_count = np.minimum(run_length[run_index] - offset_in_run, max_hits)
     object_index = hits.run_object[run_index]
-    may_be_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
     radius += hits.scene.position_error[object_index]
     if margin is not None:
         radius += np.maximum.reduceat(margin, first_hit)
-    return Packets(object_index, first_hit, hit_count, center, radius, may_be_lit)
+    return Packets(
+        object_index=object_index,
+        child_start=first_hit,
+        child_count=np.minimum(run_length[run_index] - offset_in_run, max_hits),
+        center=center,
+        radius=radius,
+        may_be_lit=np.logical_or.reduceat(faces_light, first_hit, axis=1),
+    )
 
 
 def _build_square_packets(
@@ -456,7 +469,11 @@ def _merge_row_packets(
     center = 0.5 * (low_corner + high_corner)
     center_offset = row_packets.center - center.repeat(child_count, axis=1)
     needed_radius = np.sqrt((center_offset * center_offset).sum(axis=0)) + row_packets.radius
-    radius = np.maximum.reduceat(needed_radius, first_child)
-    may_be_lit = np.logical_or.reduceat(row_packets.may_be_lit, first_child, axis=1)
-    object_index = row_packets.object_index[first_child]
-    return Packets(object_index, first_child, child_count, center, radius, may_be_lit)
+    return Packets(
+        object_index=row_packets.object_index[first_child],
+        child_start=first_child,
+        child_count=child_count,
+        center=center,
+        radius=np.maximum.reduceat(needed_radius, first_child),
+        may_be_lit=np.logical_or.reduceat(row_packets.may_be_lit, first_child, axis=1),
+    )

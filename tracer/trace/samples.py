@@ -40,7 +40,7 @@ class ObjectSpans(NamedTuple):
     """The parts of rows that objects cover."""
 
     object_index: Shaped[Ints, "n"]
-    row: Shaped[Ints, "n"]  # index into `row_top`
+    row: Shaped[Ints, "n"]  # index among the given rows
     left: Shaped[Floats, "n"]
     right: Shaped[Floats, "n"]  # at least `left`
 
@@ -87,8 +87,12 @@ def find_object_spans(
     left = np.maximum(left, bounds.left[index_in_shape])
     right = np.minimum(right, bounds.right[index_in_shape])
     kept_index = find(left <= right)
-    left, right = left[kept_index] - pad, right[kept_index] + pad
-    return ObjectSpans(object_index[kept_index], row[kept_index], left, right)
+    return ObjectSpans(
+        object_index=object_index[kept_index],
+        row=row[kept_index],
+        left=left[kept_index] - pad,
+        right=right[kept_index] + pad,
+    )
 
 
 class Rows(NamedTuple):
@@ -128,14 +132,20 @@ class Rows(NamedTuple):
     def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
         """Find spans of samples at which objects of one shape may be visible; some are empty."""
         row_size, per_pixel = self.x.size, self.per_pixel[0]
-        object_index, row, left, right = find_object_spans(
-            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
+        # Samples are shifted by at most half the distance between two columns, or half a pixel.
+        x_range = self.x[0] - 1, self.x[-1] + 1
+        spans = find_object_spans(shape, scene, self.y, x_range, pad=_SPAN_PADDING / per_pixel)
+        # Positions relative to the first sample of the row, in samples.
+        first_x = self.x[0] + self.shift[spans.row]
+        left, right = (spans.left - first_x) * per_pixel, (spans.right - first_x) * per_pixel
+        span_start = np.ceil(left).clip(0, row_size).astype(np.intp)
+        span_end = (np.floor(right) + 1).clip(0, row_size).astype(np.intp)
+        return SampleSpans(
+            object_index=spans.object_index,
+            row=spans.row,
+            first_sample=spans.row * row_size + span_start,
+            sample_count=np.maximum(span_end - span_start, 0),
         )
-        first_x = self.x[0] + self.shift[row]
-        span_start = np.ceil((left - first_x) * per_pixel).clip(0, row_size).astype(np.intp)
-        span_end = (np.floor((right - first_x) * per_pixel) + 1).clip(0, row_size).astype(np.intp)
-        sample_count = np.maximum(span_end - span_start, 0)
-        return SampleSpans(object_index, row, row * row_size + span_start, sample_count)
 
 
 class Scattered(NamedTuple):
@@ -157,7 +167,13 @@ class Scattered(NamedTuple):
         order = np.lexsort((x, np.floor(y)))
         y, x = y[order], x[order]
         is_row_start = mark_run_starts(np.floor(y))
-        return cls(y, x, find(is_row_start), _encode_position(is_row_start.cumsum(), x)), order
+        samples = cls(
+            y=y,
+            x=x,
+            row_start=find(is_row_start),
+            sort_key=_encode_position(is_row_start.cumsum(), x),
+        )
+        return samples, order
 
     @property
     def size(self) -> int:
@@ -184,12 +200,19 @@ class Scattered(NamedTuple):
         row_top = np.floor(self.y[self.row_start])
         x_range = self.x.min(initial=0), self.x.max(initial=0)
         spans = find_object_spans(shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING)
-        object_index, row, left, right = spans
-        span_start = self.sort_key.searchsorted(_encode_position(row + 1, left))
-        span_end = self.sort_key.searchsorted(_encode_position(row + 1, right), side="right")
+        # The rows in `sort_key` are numbered from 1.
+        left_key = _encode_position(spans.row + 1, spans.left)
+        right_key = _encode_position(spans.row + 1, spans.right)
+        span_start = self.sort_key.searchsorted(left_key)
+        span_end = self.sort_key.searchsorted(right_key, side="right")
         span_size = np.maximum(span_end - span_start, 0)
         span_index, sample_index = enumerate_ranges(span_size, span_start)
-        return SampleSpans(object_index[span_index], sample_index, sample_index, None)
+        return SampleSpans(
+            object_index=spans.object_index[span_index],
+            row=sample_index,  # `y` has one element for each sample
+            first_sample=sample_index,
+            sample_count=None,
+        )
 
 
 def _encode_position(row: Shaped[Ints, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:

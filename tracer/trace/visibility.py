@@ -127,21 +127,22 @@ class _Intersections(NamedTuple):
 
 def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:
     """Intersect the ray through each sample with all objects that may cover the sample."""
-    frame, groups = scene.frame, []
-    sample_ray_x, row_ray_y = samples.compute_ray_x(frame), frame.to_ray_y(samples.y)
+    groups = []
+    sample_ray_x = samples.compute_ray_x(scene.frame)
+    row_ray_y = scene.frame.to_ray_y(samples.y)
     for shape in scene.shapes:
-        object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
-        if sample_count is None:
-            sample_index = first_sample
+        spans = samples.find_spans(shape, scene)
+        if spans.sample_count is None:
+            sample_index = spans.first_sample
         else:
-            sample_index = join_ranges(sample_count, first_sample)
-        ray_y, ray_x = row_ray_y.take(row), sample_ray_x.take(sample_index)
-        t, hit_data = shape.intersect(object_index, ray_y, ray_x, sample_count)
+            sample_index = join_ranges(spans.sample_count, spans.first_sample)
+        ray_y, ray_x = row_ray_y.take(spans.row), sample_ray_x.take(sample_index)
+        t, hit_data = shape.intersect(spans.object_index, ray_y, ray_x, spans.sample_count)
         groups.append(
             _Intersections(
                 shape=shape,
-                sample_count=sample_count,
-                object_index=object_index,
+                sample_count=spans.sample_count,
+                object_index=spans.object_index,
                 ray_y=ray_y,
                 sample_index=sample_index,
                 ray_x=ray_x,
