@@ -20,44 +20,21 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sp
 
 
 class Setting(NamedTuple):
-    """The surfaces of a scene, and limits for the positions of its camera and lights.
-
-    Attributes
-    ----------
-    surfaces : list of Sphere or Box
-        The surfaces.
-    target : (float, float, float)
-        The point at which the camera looks.
-    reach : float
-        Distance of the camera from the target.  The lights have 0.25 to 3 times this distance from
-        the origin.
-    height_factor : float
-        Factor on the height of the camera above the target, and on the heights of the lights above
-        the origin.
-    """
+    """The surfaces of a scene, and limits for the positions of its camera and lights."""
 
     surfaces: list[Surface]
-    target: Vector
+    target: Vector  # the point at which the camera looks
+    # Distance of the camera from the target.  The lights have 0.25 to 3 times this distance from
+    # the origin.
     reach: float
+    # Factor on the height of the camera above the target, and of the lights above the origin.
     height_factor: float = 1
 
 
 def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
     """Build a random scene, which is always the same for the same arguments.
 
-    Parameters
-    ----------
-    kind : str
-        What makes the scene hard to render: a key of `KINDS`.
-    seed : int
-        Seed of the random numbers.
-    width, height : int
-        Size of the picture, in pixels.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
+    `kind` is what makes the scene hard to render: a key of `KINDS`.
     """
     return build_scene(kind, Random(f"{kind} {seed}"), width, height)
 
@@ -72,24 +49,11 @@ def scenes(
     """Let Hypothesis choose a scene, and print it as a scene file if the test fails.
 
     A test calls this function without the argument `draw`, which the decorator passes, and receives
-    a strategy.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns a value of a strategy.
-    kinds : iterable of str
-        The kinds to choose from: names in `FEW_OBJECTS`.  A crowd has too many numbers for
-        Hypothesis.
-    width, height : strategy of int
-        Size of the picture, in pixels.
-
-    Returns
-    -------
-    scene : Scene
-        A scene of one of the kinds.
+    a strategy.  The kinds to choose from are those in `FEW_OBJECTS`: a crowd has too many numbers
+    for Hypothesis.
     """
-    kind, random = draw(st.sampled_from([*kinds])), draw(st.randoms(use_true_random=False))
+    kind = draw(st.sampled_from([*kinds]))
+    random = draw(st.randoms(use_true_random=False))
     scene = build_scene(kind, random, draw(width), draw(height))
     save_scene(scene, file := BytesIO())
     note(file.getvalue().decode())
@@ -97,22 +61,7 @@ def scenes(
 
 
 def build_scene(kind: str, random: Random, width: int, height: int) -> Scene:
-    """Build a scene of one kind with one to three lights.
-
-    Parameters
-    ----------
-    kind : str
-        What makes the scene hard to render: a key of `KINDS`.
-    random : Random
-        The source of all numbers in the scene.
-    width, height : int
-        Size of the picture, in pixels.
-
-    Returns
-    -------
-    scene : Scene
-        The scene.
-    """
+    """Build a scene of one kind with one to three lights; all its numbers come from `random`."""
     setting = KINDS[kind](random)
     camera = _camera(random, setting)
     lights = [_light(random, camera, setting) for _ in range(random.randint(1, 3))]
@@ -129,7 +78,6 @@ def _uniform(random: Random, low: float, high: float) -> float:
 
 
 def _vector(random: Random, low: float, high: float) -> Vector:
-    """Return three random numbers from `low` to `high`."""
     x, y, z = (_uniform(random, low, high) for _ in range(3))
     return x, y, z
 
@@ -143,7 +91,6 @@ def _direction(random: Random) -> Vector:
 
 
 def _move(point: Vector, scale: float, direction: Vector) -> Vector:
-    """Return point + scale * direction."""
     pairs = zip(point, direction, strict=True)
     x, y, z = (coordinate + scale * component for coordinate, component in pairs)
     return x, y, z
@@ -170,18 +117,6 @@ def _camera(random: Random, setting: Setting) -> Camera:
 
     One camera in four looks along an axis.  Four in ten have a window that is not perpendicular to
     the view direction.  All random numbers, even if all are equal, define a window.
-
-    Parameters
-    ----------
-    random : Random
-        The source of all numbers.
-    setting : Setting
-        The target, and the camera's distance from it.
-
-    Returns
-    -------
-    camera : Camera
-        A camera whose window has a random shape.
     """
     x, y, z = _direction(random)
     up = _direction(random)
@@ -214,20 +149,6 @@ def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
 
     One light in ten is at the eye.  At most one in ten is at the centre of a sphere, and at most
     one in ten is on the lower face of a box.
-
-    Parameters
-    ----------
-    random : Random
-        The source of all numbers.
-    camera : Camera
-        The camera, which has the position of the eye.
-    setting : Setting
-        The surfaces, and the scale of the light's distance from the origin.
-
-    Returns
-    -------
-    light : PointLight
-        A light of random colour.
     """
     surface, special_case = random.choice(setting.surfaces), random.randint(0, 9)
     direction = _scale_height(*_direction(random), setting)
@@ -256,33 +177,19 @@ def _eighths(random: Random, low: float, high: float) -> float:
 
 
 def _ball(random: Random, x: float, y: float, z: float, radius: float) -> Sphere:
-    """Return a sphere with the centre (x, y, z) and a random shader."""
     return Sphere(center=(x, y, z), radius=radius, shader=_shader(random))
 
 
 def _box(random: Random, low: Vector, high: Vector) -> Box:
-    """Return a box between two opposite corners, with a random shader."""
     return Box(min_pt=low, max_pt=high, shader=_shader(random))
 
 
 def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
     """Return a ball or a box of random size, at a random position near the origin.
 
-    Along each axis, one box in ten has no thickness.
-
-    Parameters
-    ----------
-    random : Random
-        The source of all numbers.
-    spread : float
-        The coordinates of the centre are between -spread and spread.
-    size : float
-        Maximum radius of the ball, or of half a side of the box.  The minimum is a tenth of it.
-
-    Returns
-    -------
-    surface : Sphere or Box
-        The surface.
+    The coordinates of the centre are between -spread and spread.  The radius of the ball, or half a
+    side of the box, is between size / 10 and size.  Along each axis, one box in ten has no
+    thickness.
     """
     center = _vector(random, -spread, spread)
     if random.randint(0, 1) == 0:
@@ -292,31 +199,14 @@ def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
 
 
 def _balls_and_boxes(random: Random, count: int, spread: float, size: float = 1) -> list[Surface]:
-    """Return balls and boxes of random size, at random positions near the origin.
-
-    Parameters
-    ----------
-    random : Random
-        The source of all numbers.
-    count : int
-        Number of surfaces.
-    spread : float
-        The coordinates of the centres are between -spread and spread.
-    size : float
-        Maximum radius of a ball, or of half a side of a box.
-
-    Returns
-    -------
-    surfaces : list of Sphere or Box
-        The surfaces.
-    """
+    """Return balls and boxes of random size, each as `_ball_or_box`."""
     return [_ball_or_box(random, spread, size) for _ in range(count)]
 
 
 def _scattered(random: Random) -> Setting:
     """Return one to eight balls and boxes at random positions, some of which intersect."""
     surfaces = _balls_and_boxes(random, random.randint(1, 8), 2)
-    return Setting(surfaces, (0, 0, 0), _uniform(random, 1, 6))
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=_uniform(random, 1, 6))
 
 
 def _touching(random: Random) -> Setting:
@@ -331,7 +221,7 @@ def _touching(random: Random) -> Setting:
             _ball(random, x + half + radius, radius, z, radius),
             _ball(random, x, height + 2 * radius + height, z, height),
         ]
-    return Setting(surfaces, (0, 0.5, 0), _uniform(random, 2, 6))
+    return Setting(surfaces=surfaces, target=(0, 0.5, 0), reach=_uniform(random, 2, 6))
 
 
 def _nested(random: Random) -> Setting:
@@ -343,7 +233,7 @@ def _nested(random: Random) -> Setting:
         offset = random.choice([0, 0.25]) * radius
         low, high = (-radius, -radius, -radius), (radius, radius, radius + offset)
         surfaces += [_ball(random, offset, 0, 0, radius), _box(random, low, high)]
-    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.1, 1.2) * radius)
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=_uniform(random, 0.1, 1.2) * radius)
 
 
 def _duplicated(random: Random) -> Setting:
@@ -359,7 +249,7 @@ def _enormous(random: Random) -> Setting:
     ground = _ball(random, 0, -radius, 0, radius)
     slab = _box(random, (-radius, -3, -radius), (radius, -2, 0))
     surfaces = [ground, slab, *_balls_and_boxes(random, 4, 2)]
-    return Setting(surfaces, (0, 1, 0), _uniform(random, 1, 6))
+    return Setting(surfaces=surfaces, target=(0, 1, 0), reach=_uniform(random, 1, 6))
 
 
 def _rooms(random: Random) -> Setting:
@@ -372,12 +262,13 @@ def _rooms(random: Random) -> Setting:
         else _box(random, (-size, -size, -size), (size, size, size))
     )
     surfaces = [room, *_balls_and_boxes(random, 5, size)]
-    return Setting(surfaces, (0, 0, 0), size * _uniform(random, 0.1, 0.9))
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=size * _uniform(random, 0.1, 0.9))
 
 
 def _far(random: Random) -> Setting:
     """Return balls and boxes that are seen from a distance of up to 10^4 times their size."""
-    return Setting(_balls_and_boxes(random, 6, 1), (0, 0, 0), 10 ** _uniform(random, 1, 4))
+    surfaces = _balls_and_boxes(random, 6, 1)
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=10 ** _uniform(random, 1, 4))
 
 
 def _grazing(random: Random) -> Setting:
@@ -392,8 +283,9 @@ def _grazing(random: Random) -> Setting:
         _ball(random, 0, -(2.0**16), 0, 2.0**16),
         *_balls_and_boxes(random, 5, 2),
     ]
-    reach, height_factor = _uniform(random, 2, 8), 10 ** _uniform(random, -9, -1)
-    return Setting(surfaces, (0, 0, 0), reach, height_factor)
+    reach = _uniform(random, 2, 8)
+    height_factor = 10 ** _uniform(random, -9, -1)
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=reach, height_factor=height_factor)
 
 
 def _walled(random: Random) -> Setting:
@@ -404,13 +296,13 @@ def _walled(random: Random) -> Setting:
             sides = [ends if k == axis else (-2.5, 2.5) for k in range(3)]
             low, high = zip(*sides, strict=True)
             surfaces.append(_box(random, low, high))
-    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.5, 1.9))
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=_uniform(random, 0.5, 1.9))
 
 
 def _crowd(random: Random) -> Setting:
     """Return a thousand small balls and boxes, which surround the eye or lie in front of it."""
     surfaces = _balls_and_boxes(random, 1000, 2, 0.06)
-    return Setting(surfaces, (0, 0, 0), _uniform(random, 0, 4))
+    return Setting(surfaces=surfaces, target=(0, 0, 0), reach=_uniform(random, 0, 4))
 
 
 # For each kind of scene, the function that returns its surfaces.

@@ -222,17 +222,19 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 def test_threads_share_prepared_lights(monkeypatch):
     # While one thread slowly prepares a batch of lights, all other threads request it, too.
     scene = place_nine_lights(crowd(40, width=48, height=27))
-    expected, prepared_scene, starts = render(scene), PreparedScene(scene), list[int]()
+    expected = render(scene)
+    shared_scene = PreparedScene(scene)
+    starts = list[int]()
     prepare_lights = PreparedScene.prepare_lights
 
-    def prepare_slowly(prepared_scene: PreparedScene, batch: slice) -> Lights:
+    def prepare_slowly(self: PreparedScene, batch: slice) -> Lights:
         starts.append(batch.start)
         sleep(0.05)
-        return prepare_lights(prepared_scene, batch)
+        return prepare_lights(self, batch)
 
     monkeypatch.setattr(PreparedScene, "prepare_lights", prepare_slowly)
     with ThreadPoolExecutor(4) as pool:
-        batches_of_threads = [*pool.map(lambda _: [*prepared_scene.light_batches], range(4))]
+        batches_of_threads = [*pool.map(lambda _: [*shared_scene.light_batches], range(4))]
         assert starts == [0, 4, 8]
         for first, *others in zip(*batches_of_threads, strict=True):
             assert all(lights is first for lights in others)

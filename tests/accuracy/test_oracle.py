@@ -40,7 +40,6 @@ class Comparison(NamedTuple):
 
     exact_rays: plain.TracedRays  # of the oracle
     error: Shaped[Floats, "n"]  # largest absolute error of the three channels
-    # Perturbations change neither the visible surface nor the lights that reach it.
     is_certain: Shaped[Bools, "n"]
 
     def describe_wrong_pixels(self, tolerance: float) -> str:
@@ -66,7 +65,7 @@ def compare(scene: Scene, image: Shaped[Floats, "height width 3"] | None = None)
         has_same_lights = (perturbed_rays.is_lit == exact_rays.is_lit).all(axis=0)
         is_certain &= (perturbed_rays.surface_index == exact_rays.surface_index) & has_same_lights
     error = np.abs(image.reshape(-1, 3) - exact_rays.radiance).max(axis=1)
-    return Comparison(exact_rays, error, is_certain)
+    return Comparison(exact_rays=exact_rays, error=error, is_certain=is_certain)
 
 
 # Tolerances of radiance by kind of scene.  Rounding errors are multiplied by up to 10^4, because
