@@ -66,7 +66,8 @@ class Boxes(Shape):
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
         table = surfaces.tables[Box]
         min_pt, max_pt = table["min_pt"].T.copy(), table["max_pt"].T.copy()
-        eye_to_low, eye_to_high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
+        eye_to_low = min_pt - frame.eye[:, None]
+        eye_to_high = max_pt - frame.eye[:, None]
         is_eye_inside = np.all((eye_to_low <= 0) & (eye_to_high >= 0), axis=0)
         normals = frame.rotate_to_camera(find_edge_planes(eye_to_low, eye_to_high))
         # If the eye is on a face, the plane of that face bounds the rays that enter the box.
@@ -97,7 +98,8 @@ class Boxes(Shape):
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_y = frame.to_ray_y(top + height / 2)
-        min_ray_x, max_ray_x = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
+        min_ray_x = np.full(box_index.size, -np.inf)
+        max_ray_x = np.full(box_index.size, np.inf)
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane_index in range(6):
@@ -181,7 +183,7 @@ class Boxes(Shape):
     ) -> Shaped[Floats, "n"]:
         """Look up the coordinate, along its axis, of the face whose normal has this sign.
 
-        The normal is that on the side of the eye.
+        The sign is that of the normal on the side of the eye.
         """
         low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
         return np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
@@ -223,7 +225,7 @@ class Boxes(Shape):
     ) -> Shaped[Bools, "n"]:
         """See `Shape.occludes`; a segment in the plane of a face is not blocked.
 
-        Before the test, ends within rounding error of such a plane are moved onto the plane.
+        Before the test, ends within rounding error of the plane of a face are moved onto it.
         """
         low, high = self.get_corners(object_index)
         if growth is not None:
@@ -249,11 +251,13 @@ class Boxes(Shape):
         capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
         # Positions on the axis, from 0 to 1, at which it enters and leaves the box grown by the
         # radius of the capsule, and the box shrunk by it.
-        enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
+        enter_t = shrunk_enter_t = np.array(-np.inf)
+        leave_t = shrunk_leave_t = np.array(np.inf)
         low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.
         for start_i, end_i, low_i, high_i in zip(axis_start, axis_end, low, high, strict=True):
-            direction, to_low, to_high = end_i - start_i, low_i - start_i, high_i - start_i
+            direction = end_i - start_i
+            to_low, to_high = low_i - start_i, high_i - start_i
             if np.count_nonzero(direction) < direction.size:
                 length_scale = np.abs(to_low) + np.abs(to_high) + capsule_radius
                 direction = direction + (direction == 0) * (MIN_COMPONENT * length_scale)
@@ -263,7 +267,8 @@ class Boxes(Shape):
             shrunk_leave_t = np.minimum(shrunk_leave_t, far_t - margin)
             near_t -= margin
             far_t += margin
-            enter_t, leave_t = np.maximum(enter_t, near_t), np.minimum(leave_t, far_t)
+            enter_t = np.maximum(enter_t, near_t)
+            leave_t = np.minimum(leave_t, far_t)
         contains_capsule = (shrunk_enter_t < 0) & (shrunk_leave_t > 1)
         may_block = (enter_t <= leave_t) & (leave_t >= 0) & (enter_t <= 1) & ~contains_capsule
         blocks_all: Bools = (shrunk_enter_t < shrunk_leave_t) & (enter_t > 0) & (leave_t < 1)
@@ -283,7 +288,8 @@ class Boxes(Shape):
         to_high = self.max_pt[:, box_index] - viewpoint
         normals = self.frame.rotate_to_camera(find_edge_planes(to_low, to_high))
         values = evaluate_box_edges(normals, ray)
-        variation, center_value = bound_variation(values), values[0]
+        variation = bound_variation(values)
+        center_value = values[0]
         # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
         # A normal of 0 stands for no edge.  But if all six are 0, the viewpoint is in the box or on
@@ -362,7 +368,7 @@ def _intersect_slab(
     *,
     is_closed: bool = False,
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-    """Compute where lines enter and leave slabs, as multiples of the line's direction.
+    """Compute where lines enter and leave slabs, as multiples of each line's direction.
 
     A line parallel to the slab enters at -inf and leaves at inf if it is inside; otherwise it
     enters at inf and leaves at -inf.

@@ -1,4 +1,4 @@
-"""The contract of a shape: what the tracer asks of all objects of one kind.
+"""The contract of a shape: the operations that the tracer needs for all objects of one kind.
 
 Each kind of surface has a subclass of `Shape`, whose methods say only what differs from this
 contract.  The other modules name no subclass, except for the list `SHAPES` in `prepared_scene`.

@@ -78,6 +78,8 @@ def bound_variation(values: Shaped[Floats, "6 ..."]) -> Shaped[Floats, "..."]:
     """Bound how much edge functions differ, in a cell, from their values at the centre.
 
     The bound applies to the quadratic polynomials through the values at the six points of the cell.
+    With x and y from -1 to 1 across the cell, such a polynomial differs from its value at the
+    centre by a x + b y + c x^2 + d y^2 + e x y, so by at most |a| + |b| + |c| + |d| + |e|.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)

@@ -101,7 +101,8 @@ class Spheres(Shape):
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
-        frame, sphere_index = self.frame, self.objects.to_local(object_index)
+        frame = self.frame
+        sphere_index = self.objects.to_local(object_index)
         radius = self.radius[sphere_index]
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
@@ -149,12 +150,13 @@ class Spheres(Shape):
         The second result is the absolute dot product of the ray's direction and the vector from the
         centre to the hit.
         """
-        sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
+        sphere_index = self.objects.to_local(object_index)
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_y)
-        length2 = repeat_runs(ray_y * ray_y + depth * depth, ray_count)
-        length2 = ray_x * ray_x + length2
-        # Solve A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The
-        # nearer root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
+        depth = self.frame.depth
+        length2 = ray_x * ray_x + repeat_runs(ray_y * ray_y + depth * depth, ray_count)
+        # The point t d of the ray is on the sphere with the centre c if |t d - c|^2 = radius^2, or
+        # A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The nearer
+        # root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
         # the disc in the plane of the span (Haines, Günther and Akenine-Möller, Precision
         # improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
         cross_product = repeat_runs(discs.center_right * discs.ray_ahead, ray_count)
@@ -234,9 +236,10 @@ class Spheres(Shape):
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the segment is blocked if its line comes closest to the centre
-        # inside the sphere and between the ends.
-        projection, squared_length = dot(to_center, to_light), dot(to_light, to_light)
+        # If both ends are outside, the segment is blocked if the point of its line that is closest
+        # to the centre is inside the sphere, and between the ends.
+        projection = dot(to_center, to_light)
+        squared_length = dot(to_light, to_light)
         closest_t = projection / squared_length
         from_line = map_xyz(lambda center, light: center - closest_t * light, to_center, to_light)
         is_line_cut = dot(from_line, from_line) < radius * radius
@@ -267,7 +270,8 @@ class Spheres(Shape):
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]
         axis = map_xyz(np.subtract, axis_end, axis_start)
         to_center = map_xyz(np.subtract, center, axis_start)
-        projection, length2 = dot(to_center, axis), dot(axis, axis)
+        projection = dot(to_center, axis)
+        length2 = dot(axis, axis)
         start_distance2 = dot(to_center, to_center)
         end_distance2 = start_distance2 - 2 * projection + length2
         # Squared distance of the centre from the line that contains the axis.
@@ -342,8 +346,9 @@ class Spheres(Shape):
         cosine: Shaped[Floats, "n"],
         cell_angle: float,
     ) -> Shaped[Floats, "n"]:
-        # A strip of width r along the silhouette of a sphere of radius R shows a part of the
-        # sphere that is at most sqrt(2 r R) wide.
+        # A strip of width r inside the silhouette of a sphere of radius R shows a part of the
+        # sphere that extends sqrt(R^2 - (R - r)^2) in depth.  By Pythagoras, it is sqrt(2 r R)
+        # wide.
         curvature = repeat_runs(self.curvature[self.objects.to_local(object_index)], run_length)
         max_width = np.sqrt(2 * cell_radius / curvature)
         return np.asarray(np.fmin(cell_radius / cosine, max_width))
@@ -356,7 +361,7 @@ def _decide_by_sides(
     squared_length: Shaped[Floats, "n"],
     is_eye_inside: Shaped[Bools, "n"],
 ) -> Shaped[Bools, "n"]:
-    """Decide whether spheres block segments, at least one end of which is not outside.
+    """Decide whether spheres block segments that have an end inside or on the sphere.
 
     `projection` is the dot product of the vectors from the hit to the centre and to the light;
     `squared_length` is that of the segment.

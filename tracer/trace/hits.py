@@ -43,9 +43,8 @@ class ShapeHits(NamedTuple):
     ) -> Shaped[Floats, "n"]:
         """Compute the height of a point above the tangent plane at each hit.
 
-        The point is in scene axes, and the vectors from the hits to it are in camera axes: planar
-        faces need the former, and curved faces the latter.  The height is positive on the side of
-        the eye.
+        Planar faces need the position of the point, in scene axes.  Curved faces need the vectors
+        from the hits to the point, in camera axes.  The height is positive on the side of the eye.
         """
         planes = self.planes
         if not self.shape.has_planar_faces:

@@ -130,7 +130,7 @@ class Shading:
     lights that are visible from the hit; otherwise it is empty.
     """
 
-    visibility_ids: Shaped[Ints, "ids"]  # one for each hit, or none
+    visibility_ids: Shaped[Ints, "ids"]
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
@@ -167,7 +167,8 @@ class Shading:
         """Yield the radiance of all hits, channel by channel; nothing if no hit is lit."""
         if self._diffuse_sum is None:
             return
-        hits, scene = self._hits, self._hits.scene
+        hits = self._hits
+        scene = hits.scene
         for channel, diffuse_sum in enumerate(self._diffuse_sum):
             diffuse = hits.get_object_values(scene.diffuse[channel])
             diffuse *= diffuse_sum

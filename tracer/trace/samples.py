@@ -155,7 +155,7 @@ class Scattered(NamedTuple):
     x: Shaped[Floats, "n"]
     # Index of the first sample in each row of pixels.  Rows without samples are omitted.
     row_start: Shaped[Ints, "rows"]
-    # Encodes the row and x of each sample (see `_encode_position`).  The keys ascend, except for
+    # The row and x of each sample, encoded by `_encode_position`.  The keys ascend, except for
     # rounding errors much smaller than `_SPAN_PADDING`.
     sort_key: Shaped[Floats, "n"]
 

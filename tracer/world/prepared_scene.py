@@ -1,5 +1,8 @@
 """A scene prepared for one camera: the data that all samples of a picture share.
 
+In `trace` and `antialias`, `scene` is a `PreparedScene`; the unprepared scene occurs only in
+`first_hits`.
+
 Threads may share a `PreparedScene`.  Its arrays never change.  Lights are prepared when they are
 first needed, in batches, and a lock protects the cache that contains the batches.
 """
@@ -113,7 +116,8 @@ class PreparedScene:
         self._prepare_shaders()
         self.light_count = len(scene.lights)
         self._lights = scene.lights
-        self._cache, self._lock = dict[int, Lights](), Lock()
+        self._cache = dict[int, Lights]()
+        self._lock = Lock()
 
     def _prepare_objects(self) -> None:
         """Set the attributes that follow from the geometry of objects."""
@@ -126,6 +130,7 @@ class PreparedScene:
         self.is_eye_inside = np.concatenate([shape.is_eye_inside for shape in shapes])
         self.curvature = np.concatenate([shape.curvature for shape in shapes])
         coordinate_bound = np.concatenate([shape.coordinate_bound for shape in shapes])
+        # A point on an object is computed from coordinates of the object and of the eye.
         max_coordinate_sum = coordinate_bound + np.abs(self.frame.eye).sum()
         self.position_error = POSITION_ROUNDING * max_coordinate_sum
         self.is_duplicate = _find_duplicates(self.surfaces)
@@ -154,7 +159,8 @@ class PreparedScene:
 
         The number is smaller if more objects lie on each ray.
         """
-        return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
+        memory_limit = int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))
+        return max(1, min(max_samples, memory_limit))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
