@@ -307,11 +307,9 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     # If the pictures differ too much as a whole, compare the pixels with a smaller tolerance.
     for unscaled_tolerance in (limits.difference, MAX_MEDIAN):
         is_different, tolerance = difference > unscaled_tolerance, unscaled_tolerance * scale
-        differs_at_edge = is_different.copy()
-        if is_different.any():
-            differs_at_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance)
-        if differs_at_edge.mean() > MAX_EDGE_SHARE:  # too many for rounding errors: exclude none
-            differs_at_edge[:] = False
+        differs_at_edge = _find_differences_at_edges(
+            scene, mitsuba_image, is_different, limits.shift, tolerance
+        )
         is_tie, is_examined, is_wrong = _judge_differing_pixels(
             scene, tracer_image, mitsuba_image, is_different & ~differs_at_edge, tolerance
         )
@@ -334,6 +332,25 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         is_wrong=is_wrong,
         metrics=metrics,
     )
+
+
+def _find_differences_at_edges(
+    scene: Scene,
+    mitsuba_image: Shaped[Floats, "height width 3"],
+    is_different: Shaped[Bools, "height width"],
+    shift: float,
+    tolerance: float,
+) -> Shaped[Bools, "height width"]:
+    """Find the differing pixels that a nearby edge can explain: see `find_pixels_near_edges`.
+
+    If there are too many for rounding errors, none is returned.
+    """
+    differs_at_edge = is_different.copy()
+    if is_different.any():
+        differs_at_edge &= find_pixels_near_edges(scene, mitsuba_image, shift, tolerance)
+    if differs_at_edge.mean() > MAX_EDGE_SHARE:
+        differs_at_edge[:] = False
+    return differs_at_edge
 
 
 class _JudgedPixels(NamedTuple):

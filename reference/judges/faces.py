@@ -229,7 +229,8 @@ class Faces:
         half_space[3:] = offset * [[-1], [1]], np.abs(offset)
         sphere_equation = np.array([*(-2 * center), power, abs(power)])
         self.face_equation = _append_sides(sphere_equation, half_space)
-        # The rim of a side consists of the four sides along the two other axes.
+        # The rim of a side consists of the four sides along the two other axes.  The axes of the
+        # array become: numbers of a half-space, rim, axis of the side, low or high, box.
         rim = half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
         no_rim = np.zeros((5, 4, self.sphere_count))
         self.rim_half_spaces = _append_sides(no_rim, rim.repeat(2, axis=3))

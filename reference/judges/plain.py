@@ -327,12 +327,7 @@ class _PlainTracer:
         own_index = visible_index[ray_index]
         direction = direction.take(ray_index, 1)
         points = self.eye + closest_t[ray_index] * direction
-        normals = np.zeros_like(points)
-        for surface_index in np.unique(own_index).tolist():
-            hit_index = np.flatnonzero(own_index == surface_index)
-            hits = points.take(hit_index, 1), direction.take(hit_index, 1)
-            projected_hits = self.project_onto_surface(surface_index, *hits)
-            points[:, hit_index], normals[:, hit_index] = projected_hits
+        points, normals = self.project_hits(own_index, points, direction)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         for light_index, light in enumerate(self.scene.lights):
@@ -351,10 +346,9 @@ class _PlainTracer:
     def find_closest_hits(
         self, direction: Shaped[Array, "3 n"]
     ) -> tuple[Shaped[Array, "n"], Shaped[NDArray[np.intp], "n"]]:
-        """Find the smallest t at which each camera ray meets a surface, and the index of this
-        surface.
+        """Find the smallest t at which each camera ray meets a surface, and the surface's index.
 
-        They are infinity and -1 if there is none.
+        If a ray meets none, t is infinite, and the index is -1.
         """
         direction_length = _norm(direction)
         closest_surface_index = np.full(direction.shape[1], -1)
@@ -368,13 +362,30 @@ class _PlainTracer:
             closest_surface_index[is_closer] = surface_index
         return closest_t, closest_surface_index
 
+    def project_hits(
+        self,
+        own_index: Shaped[NDArray[np.intp], "n"],
+        points: Shaped[Array, "3 n"],
+        direction: Shaped[Array, "3 n"],
+    ) -> tuple[Shaped[Array, "3 n"], Shaped[Array, "3 n"]]:
+        """Move hits of camera rays exactly onto their surfaces, and compute the unit normals there.
+
+        `own_index` is the index of the surface that each ray hits.  The normals point to the side
+        that the eye sees.
+        """
+        projected_points = np.zeros_like(points)
+        normals = np.zeros_like(points)
+        for surface_index in np.unique(own_index).tolist():
+            hit_index = np.flatnonzero(own_index == surface_index)
+            hits = points.take(hit_index, 1), direction.take(hit_index, 1)
+            projected_hits = self.project_onto_surface(surface_index, *hits)
+            projected_points[:, hit_index], normals[:, hit_index] = projected_hits
+        return projected_points, normals
+
     def project_onto_surface(
         self, surface_index: int, points: Shaped[Array, "3 n"], direction: Shaped[Array, "3 n"]
     ) -> tuple[Shaped[Array, "3 n"], Shaped[Array, "3 n"]]:
-        """Move hits of camera rays exactly onto a surface, and compute the unit normals there.
-
-        The normals point to the side that the eye sees.  `points` may be changed.
-        """
+        """Do the same as `project_hits` for hits of one surface; `points` may be changed."""
         is_eye_inside, shape = self.is_eye_inside[surface_index], self.shapes[surface_index]
         if self.is_sphere[surface_index]:
             center, (radius,) = shape

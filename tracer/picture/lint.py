@@ -148,11 +148,11 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
     """Yield a warning about shaders that no surface uses, and one about exponents without effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file
-    have no name for a message, so they are skipped.
+    have no line that a message could name, so they are skipped.
     """
     used_shader_indices = set(surfaces.shader_index.tolist())
     unused_lines: list[int] = []
-    matte_lines: list[int] = []  # of shaders with an exponent, but without highlights
+    matte_lines: list[int] = []  # lines of shaders with an exponent, but without highlights
     for index, shader in enumerate(surfaces.shaders):
         if shader.line is None:
             continue
@@ -208,11 +208,12 @@ def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Itera
     """Yield a warning about the first light that is inside a surface while the eye is outside.
 
     A light that is inside by at most `LIGHT_TOLERANCE`, relative to the coordinates, counts as on
-    the surface.  Nothing is checked if there are too many pairs.
+    the surface.  If there are more than `_MAX_PAIRS` pairs, nothing is checked.
     """
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
+    # A row for each light, a column for each object.
     is_enclosed = np.concatenate(
         [
             shape.measure_distance(shape.objects.list_indices(), (x, y, z))
@@ -242,7 +243,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_format_surface_name(scene, visible_index)}"
-    # Which channels (red, green, blue) does each object reflect, and each light emit?
+    # Which channels (red, green, blue) does each visible object reflect, and each light emit?
     has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
     reflects_channel = has_reflectance[:, visible_index]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
