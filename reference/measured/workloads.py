@@ -14,6 +14,9 @@ Vector: TypeAlias = tuple[float, float, float]
 
 _LIGHT_INTENSITY = (0.6, 0.6, 0.6)
 
+# The corners of a floor that seems endless.
+_ENDLESS_FLOOR = ((-1e5, -1.0, -1e5), (1e5, 0.0, 1e5))
+
 # Shaders of the objects, in turn.
 _SHADERS = (
     Lambertian(diffuse=(0.9, 0.6, 0.3)),
@@ -77,27 +80,53 @@ def build_field_scene(object_count: int) -> Scene:
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
 
-def build_sun_scene(ball_count: int, *, is_eye_low: bool = False) -> Scene:
-    """Build a scene of small balls on a floor that is as wide as the light is far.
-
-    A low eye, which lies on its side, sees the floor as far as the horizon along each row.
-    """
+def build_sun_scene(ball_count: int) -> Scene:
+    """Build a scene of small balls on a floor that is as wide as the light is far."""
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-8, 0.1, -8), (8, 0.3, 8), (ball_count, 3))
-    light = (5e4, 1e5, 2e4)
-    scene = _build_ball_scene(center, [((-1e5, -1, -1e5), (1e5, 0, 1e5))], light)
-    camera = replace(
-        scene.camera, view_point=(0, 0.5, 9), view_dir=(0, -0.1, -1), view_up=(1, 0, 0)
-    )
-    return replace(scene, camera=camera, width=320, height=180) if is_eye_low else scene
+    return _build_ball_scene(center, [_ENDLESS_FLOOR], (5e4, 1e5, 2e4))
 
 
-def build_roof_scene(ball_count: int) -> Scene:
-    """Build a scene of small balls on a floor, all in the shadow of one roof."""
+def build_horizon_scene(ball_count: int) -> Scene:
+    """Build a scene of balls on a floor, out to the horizon, which a low eye sees, in 640 x 360.
+
+    The distances of the balls are spread evenly on a logarithmic scale.
+    """
     rng = np.random.default_rng(ball_count)
-    center = rng.uniform((-8, 0.1, -8), (8, 2, 8), (ball_count, 3))
-    floor, roof = ((-30, -1, -30), (30, 0, 30)), ((-60, 9, -60), (60, 9.5, 60))
-    return _build_ball_scene(center, [floor, roof], (1, 20, 2), radius=0.3)
+    distance = np.exp(rng.uniform(np.log(3), np.log(1000), ball_count))
+    x = rng.uniform(-1, 1, ball_count) * distance
+    center = np.column_stack([x, np.full(ball_count, 0.2), 9 - distance])
+    scene = _build_ball_scene(center, [_ENDLESS_FLOOR], (50, 100, 20), radius=0.2)
+    camera = replace(scene.camera, view_point=(0, 0.5, 9), view_dir=(0, -0.1, -1))
+    return replace(scene, camera=camera, width=640, height=360)
+
+
+def build_heap_scene(ball_count: int) -> Scene:
+    """Build a scene of a heap of balls, all in the shadow of one large ball, in 640 x 360."""
+    rng = np.random.default_rng(ball_count)
+    center = rng.uniform((-4, 0.1, -4), (4, 12, 4), (ball_count, 3))
+    scene = _build_ball_scene(center, [((-30, -1, -30), (30, 0, 30))], (1, 30, 2), radius=0.4)
+    camera = replace(scene.camera, view_point=(12, 9, 12), view_dir=(-12, -5, -12))
+    surfaces = [*scene.surfaces, Sphere(center=(1, 25, 2), radius=10)]
+    return Scene(camera=camera, width=640, height=360, lights=scene.lights, surfaces=surfaces)
+
+
+def build_rods_scene(rod_count: int) -> Scene:
+    """Build a scene of long thin rods, oblique in the picture, above a floor, in 640 x 360."""
+    rng = np.random.default_rng(rod_count)
+    center = rng.uniform((-5, 0.5, -5), (5, 7, 5), (rod_count, 3))
+    half_size = np.full((rod_count, 3), 0.02)
+    half_size[np.arange(rod_count), rng.integers(0, 3, rod_count)] = 3
+    surfaces = Surfaces(
+        min_pt=np.vstack([center - half_size, [(-60, -4, -60)]]),
+        max_pt=np.vstack([center + half_size, [(60, -3, 60)]]),
+        shader_index=np.arange(rod_count + 1) % len(_SHADERS),
+        shaders=_SHADERS,
+    )
+    window: Any = {"view_up": (1, 1, 0), "view_width": 1, "view_height": 0.5625}
+    camera = Camera(view_point=(12, 12, 12), view_dir=(-12, -9, -12), **window)
+    lights = _make_lights((7, 10, -6), (-7, 13, 8))
+    return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
 
 def build_dust_scene(ball_count: int) -> Scene:
