@@ -48,7 +48,8 @@ class FirstHits:
         If there is no hit, the surface is -1, the distance is infinite, and the normal and the
         position are NaN.
         """
-        sample_count, sample_index = hits.samples.size, hits.sample_index
+        sample_count = hits.samples.size
+        sample_index = hits.sample_index
         surface = np.full(sample_count, -1)
         distance = np.full(sample_count, np.inf)
         normal, point = np.full((2, sample_count, 3), np.nan)
@@ -99,7 +100,8 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
         raise TypeError("x and y must both be given, or neither")
     if x is None or y is None:
         y, x = np.indices((scene.height, scene.width)) + 0.5
-    position_x, position_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    position_x = np.asarray(x, dtype=np.float64)
+    position_y = np.asarray(y, dtype=np.float64)
     shape = position_x.shape
     if shape != position_y.shape:
         raise ValueError(f"x and y must have the same shape, not {shape} and {position_y.shape}")

@@ -133,7 +133,8 @@ class Shading:
     visibility_ids: Shaped[Ints, "ids"]
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
-        self._hits, self._with_ids = hits, with_ids
+        self._hits = hits
+        self._with_ids = with_ids
         self._is_glossy = hits.get_object_values(hits.scene.is_glossy)
         # Sums over lights of I n.l, and of I (n.h)^p, where I is the light's intensity; None before
         # the first light.
@@ -244,7 +245,8 @@ def find_narrow_highlights(
     the light are skipped.  Occluders are ignored, because the light may be visible from other
     points of the footprint.
     """
-    hits, scene = geometry.hits, geometry.hits.scene
+    hits = geometry.hits
+    scene = hits.scene
     is_glossy = hits.get_object_values(scene.is_glossy)
     if not is_glossy.any():
         return

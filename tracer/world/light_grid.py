@@ -437,7 +437,8 @@ def _build_lists(
 
     In each list, entries ascend.
     """
-    sort_keys, list_start = [], np.zeros(patch_count * cells_per_side**2 + 1, dtype=np.uint32)
+    sort_keys = []
+    list_start = np.zeros(patch_count * cells_per_side**2 + 1, dtype=np.uint32)
     overlaps = _find_overlaps(relative_rectangles, patch_index, cells_per_side)
     for entry_index, cell_index in overlaps:
         # `np.add.at` is twenty times as fast if the increment has the type of the array.
@@ -463,7 +464,8 @@ def _find_overlaps(
     """
     cell_ranges = (cells_per_side * relative_rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
-    column_count, row_count = last_column - first_column + 1, last_row - first_row + 1
+    column_count = last_column - first_column + 1
+    row_count = last_row - first_row + 1
     for batch in split_by_size(column_count * row_count, _CELLS_PER_BATCH):
         # A strip consists of the cells that one rectangle overlaps in one column.
         strip_rectangle, column = enumerate_ranges(column_count[batch], first_column[batch])
