@@ -108,6 +108,14 @@ def test_first_hits_in_closed_form():
     np.testing.assert_allclose(distance, expected, rtol=1e-15)
 
 
+def test_normals_of_boxes_are_exact_for_an_oblique_camera():
+    camera = Camera(view_point=(3, 4, 5), view_dir=(-3, -4, -5), proj_distance=7)
+    box = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
+    hits = first_hits(scene_of(box, camera=camera, size=(20, 20), lights=[]))
+    normals = {tuple(normal) for normal in hits.normal[hits.surface == 0].tolist()}
+    assert normals == {(1, 0, 0), (0, 1, 0), (0, 0, 1)}
+
+
 def test_rays_without_a_hit_and_shapes_of_results():
     hits = first_hits(view(SPHERE), [0.5, 2], [0.5, 2])
     assert hits.surface.tolist() == [-1, 0]
