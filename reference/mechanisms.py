@@ -91,7 +91,7 @@ class Mechanism(NamedTuple):
 
     name: str
     purpose: str  # one sentence: what it does
-    lines: int  # the lines of code that would go with it
+    lines: int  # lines of code that serve it; those that serve several mechanisms count for each
     module: str  # the file in tracer/ that contains `text`
     text: str  # occurs once in the module, and is replaced by `replacement`
     replacement: str
@@ -242,7 +242,8 @@ def main() -> None:
     page = format_section(
         "Mechanisms",
         "Written by `python -m reference.mechanisms`: what a picture takes without each mechanism,"
-        " divided by what it takes with it. CPU times are those of one process (the least of at"
+        " divided by what it takes with it. Lines of code that serve several mechanisms count for"
+        " each. CPU times are those of one process (the least of at"
         f" least {rounds}); tests are those of an object and a ray, segment or capsule; the error"
         " is the RMSE from the certified picture, 1.0× where the pictures are the same. The scene"
         " (of `tests/scenes`, `scenes`, or `reference/measured/workloads.py`) with its number of"
