@@ -196,10 +196,6 @@ WITHOUT_SHAPES = {
     "reference.measured.workloads",
     "reference.mechanisms",
     "reference.pictures",
-    "tracer.antialias.edge_functions",
-    "tracer.antialias.regions",
-    "tracer.picture.png",
-    "tracer.picture.render",
     "tracer.scene.model",
     "tracer.scene.schema",
 }

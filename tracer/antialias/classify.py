@@ -1,4 +1,4 @@
-"""Classify cells of the picture: can the sample at the centre represent the whole cell?
+"""Classify cells of the picture: can the center sample of a cell represent all of it?
 
 A *cell* is a pixel, or a square part of a pixel.  `classify_cells` traces one *center sample*
 through the centre of each cell, and finds the edges that may cross the cell: silhouettes, creases
@@ -16,14 +16,20 @@ object, and the same lights are visible from both hits; -1 for the background.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, compute_rays, fit_lines
+from tracer.antialias.edge_functions import (
+    EdgeValues,
+    ExtendedFaces,
+    Lines,
+    compute_rays,
+    fit_lines,
+)
 from tracer.antialias.edges import CellSurfaces, compute_footprint_radii, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
@@ -95,7 +101,7 @@ class Cells(NamedTuple):
 
 
 class Classification(NamedTuple):
-    """Properties of cells."""
+    """What `classify_cells` finds in cells, in the terms of this module's docstring."""
 
     cells: Cells
     center_samples: CenterSamples
@@ -115,48 +121,72 @@ def classify_cells(
     The samples pass through the centres of the cells, in any order; `sample_cell_index` is the cell
     of each.
     """
-    cell_count, tolerance = sample_cell_index.size, cells.tolerance
-    is_unresolved = np.zeros(cell_count, dtype=np.bool_)
-    is_crowded = np.zeros(cell_count, dtype=np.bool_)
     hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
     surfaces = CellSurfaces(
         hits=hits,
-        inverse_depth=InverseDepth.from_hits(hits),
+        faces=ExtendedFaces.from_hits(hits),
         cell_index=sample_cell_index[hits.sample_index],
         footprint_radius=compute_footprint_radii(hits, cells.width),
         cell_width=cells.width,
     )
-    silhouettes = _find_silhouettes_from_eye(scene, cells)
-    edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
-    geometry_lines, curved_cell_index = fit_lines(edges, tolerance)
-    is_unresolved[curved_cell_index] = True
-    shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
-    for lights in scene.light_batches:
-        light_edges = _shade_and_find_edges(shading, surfaces, lights, tolerance)
-        all_lines.append(light_edges.lines)
-        is_unresolved[light_edges.unresolved_index] = True
-        is_crowded[light_edges.crowded_index] = True
-    radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
-    radiance[:, sample_cell_index] = shading.compute_radiance()
-    center_id[surfaces.cell_index] = shading.visibility_ids
-    lines = Lines.concatenate(all_lines).sort_and_deduplicate()
+    geometry_edges = chain(
+        _find_silhouettes_from_eye(scene, cells),
+        surfaces.find_intersections(hidden_hits),
+        surfaces.find_creases(),
+    )
+    geometry_fits = fit_lines(geometry_edges, cells.tolerance)
+    shading = Shading(hits, with_ids=True)
+    light_edges = [
+        _shade_and_find_edges(shading, surfaces, lights, cells.tolerance)
+        for lights in scene.light_batches
+    ]
+    all_lines = Lines.concatenate([geometry_fits.lines, *(each.lines for each in light_edges)])
+    lines = all_lines.sort_and_deduplicate()
+    cell_count = sample_cell_index.size
+    is_unresolved = _mark_cells(cell_count, (each.unresolved_index for each in light_edges))
+    is_unresolved[geometry_fits.curved_cell_index] = True
+    is_crowded = _mark_cells(cell_count, (each.crowded_index for each in light_edges))
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell_index, minlength=cell_count) > MAX_LINES
     return Classification(
         cells=cells,
-        center_samples=CenterSamples(radiance=radiance, id=center_id),
+        center_samples=_collect_center_samples(shading, sample_cell_index, surfaces.cell_index),
         lines=lines.limit_per_cell(MAX_LINES),
         is_unresolved=is_unresolved,
         is_crowded=is_crowded,
     )
 
 
+def _mark_cells(
+    cell_count: int, index_arrays: Iterable[Shaped[Ints, "k"]]
+) -> Shaped[Bools, "cell_count"]:
+    is_marked = np.zeros(cell_count, dtype=np.bool_)
+    for cell_index in index_arrays:
+        is_marked[cell_index] = True
+    return is_marked
+
+
+def _collect_center_samples(
+    shading: Shading,
+    sample_cell_index: Shaped[Ints, "cells"],
+    hit_cell_index: Shaped[Ints, "hits"],
+) -> CenterSamples:
+    """Collect the center samples in the order of the cells, once all lights have been added."""
+    radiance = np.empty((3, sample_cell_index.size))
+    radiance[:, sample_cell_index] = shading.compute_radiance()
+    sample_id = np.full(sample_cell_index.size, -1)
+    sample_id[hit_cell_index] = shading.visibility_ids
+    return CenterSamples(radiance=radiance, id=sample_id)
+
+
 class _LightEdges(NamedTuple):
-    """The edges that lights cause: shadow edges and terminators."""
+    """The edges that lights cause: shadow edges and terminators.
+
+    An index of a cell may be repeated.
+    """
 
     lines: Lines
-    # Cells that may contain a narrow highlight, or an edge that no line represents.  An index may
-    # be repeated.
+    # Cells that may contain a narrow highlight, or an edge that no line represents.
     unresolved_index: Shaped[Ints, "k"]
     crowded_index: Shaped[Ints, "j"]
 
@@ -165,11 +195,13 @@ def _shade_and_find_edges(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> _LightEdges:
     """Add lights to the radiance of hits (`shading`), and find the edges that they cause."""
-    hits, hit_cell_index = surfaces.hits, surfaces.cell_index
+    hits = surfaces.hits
+    hit_cell_index = surfaces.cell_index
     footprint_radius = surfaces.footprint_radius
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
-    # Cells with wide footprints are always divided, so their shadow edges are not needed.
+    # Cells with wide footprints become unresolved (`unsearched_index` below), whatever edges they
+    # contain, so no shadow edges are searched for there.
     min_squared_distance = (footprint_radius / _MAX_FOOTPRINT) ** 2
     has_wide_footprint = np.any(geometry.squared_distance < min_squared_distance, axis=0)
     search_radius = np.where(has_wide_footprint, 0, footprint_radius)
@@ -194,7 +226,8 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
     """Yield the silhouette edges, seen from the eye, that may cross cells."""
     frame = scene.frame
     for batch in split_indices(np.arange(cells.pair_cell_index.size)):
-        cell_index, object_index = cells.pair_cell_index[batch], cells.pair_object_index[batch]
+        cell_index = cells.pair_cell_index[batch]
+        object_index = cells.pair_object_index[batch]
         ray_x = frame.to_ray_x(cells.center_x[cell_index])
         ray_y = frame.to_ray_y(cells.center_y[cell_index])
         ray = compute_rays(frame, ray_x, ray_y, cells.width)

@@ -15,6 +15,9 @@ or crease                   surfaces
 terminator                  the cosine between the normal and the direction to the light
 ==========================  ======================================================================
 
+The functions of silhouettes are evaluated by `Shape.find_silhouettes`, and all others by
+`CellSurfaces` (see `edges`), from the 1 / t that `ExtendedFaces` computes.
+
 The *viewpoint* of a silhouette is the eye or a light.  Silhouettes seen from a light are the edges
 of shadows; the ray then leads from the light to the surface that is visible in the cell.
 
@@ -87,7 +90,7 @@ class Lines(NamedTuple):
         """Concatenate at least one set of lines."""
         return cls._make(map(np.concatenate, zip(*line_sets, strict=True)))
 
-    def take(self, line_index: Ints | slice) -> Lines:
+    def take(self, line_index: Shaped[Ints, "k"]) -> Lines:
         return Lines._make(field[line_index] for field in self)
 
     def sort_and_deduplicate(self) -> Lines:
@@ -133,7 +136,7 @@ class FittedLines(NamedTuple):
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
-    """Fit a straight line to each edge, where `tolerance` is that of `Cells`."""
+    """Fit a straight line to each edge.  For `tolerance`, see `Cells`."""
     no_edges = EdgeValues(cell_index=np.zeros(0, dtype=np.intp), values=np.zeros((6, 0)))
     fits = (_fit_line_batch(batch, tolerance) for batch in chain([no_edges], edges))
     batch_lines, curved_cell_index = zip(*fits, strict=True)
@@ -145,7 +148,8 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
 class _Quadratics(NamedTuple):
     """Functions f(p) = c + g . p + p . H p / 2 of a point p = (x, y), as in `Lines`.
 
-    The gradient g at the centre is (a, b); H is a symmetric matrix.
+    The gradient g at the centre is (a, b); H is a symmetric matrix.  The scale of f is such that
+    |f(p) - c| is at most 1 in the cell.
     """
 
     c: Shaped[Floats, "n"]
@@ -157,7 +161,8 @@ class _Quadratics(NamedTuple):
 
     @classmethod
     def from_values(cls, values: Shaped[Floats, "6 n"]) -> _Quadratics:
-        """Interpolate values at six points, scaled so that their powers are finite in any unit."""
+        """Interpolate the values of edge functions at six points, after scaling."""
+        # Without scaling, squares of very small or very large values would be 0 or infinite.
         center, right, left, lower, upper, corner = values / bound_variation(values)
         return cls(
             c=center,
@@ -178,47 +183,80 @@ class _Quadratics(NamedTuple):
     def find_nearest_zeros(
         self, h_gradient: Shaped[Floats, "n"]
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Find x and y of the zero on the line along g through the centre, moved into the cell.
+        """Find x and y of the zero nearest to the centre, on the line along g through the centre.
+
+        A zero outside the cell is replaced by the point at which the line leaves the cell.
 
         `h_gradient` is the second derivative along g.
         """
+        # At the point s g, with G = |g|^2 and the second derivative h, f is c + G s + G h s^2 / 2.
+        # The zero nearest to s = 0 is s = -2 c / (G + root), where root^2 = G^2 - 2 c G h.  Unlike
+        # (root - G) / (G h), this form is exact to rounding for h = 0, too.
         squared_gradient = self.a * self.a + self.b * self.b
-        root = np.sqrt(np.abs(squared_gradient * (squared_gradient - 2 * self.c * h_gradient)))
+        discriminant = squared_gradient * (squared_gradient - 2 * self.c * h_gradient)
+        # If it is negative, f has no zero on the line.  Its absolute value then gives some finite
+        # point in the direction in which |f| decreases.
+        root = np.sqrt(np.abs(discriminant))
         step = -2 * self.c / (squared_gradient + root)
         max_step = 0.5 / np.maximum(np.abs(self.a), np.abs(self.b))
         step = np.clip(step, -max_step, max_step)
         return step * self.a, step * self.b
 
+    def compute_tangent_planes(
+        self, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
+    ) -> _TangentPlanes:
+        """Compute the linear functions with the value and the gradient of f at the point (x, y)."""
+        square_part = x * (self.h_xx * x + 2 * self.h_xy * y) + y * self.h_yy * y
+        value = self.c + self.a * x + self.b * y + 0.5 * square_part
+        a = self.a + self.h_xx * x + self.h_xy * y
+        b = self.b + self.h_xy * x + self.h_yy * y
+        return _TangentPlanes(c=value - (a * x + b * y), a=a, b=b)
 
-def _fit_line_batch(edges: EdgeValues, tolerance: float) -> tuple[Lines, Shaped[Ints, "k"]]:
-    """Fit a line to each edge, parallel to it near the centre, at the edge's mean position.
 
-    The results are those of `FittedLines`.
-    """
-    cell_index, values = edges
-    f = _Quadratics.from_values(values)
+class _TangentPlanes(NamedTuple):
+    """Linear functions c + a x + b y."""
+
+    c: Shaped[Floats, "n"]
+    a: Shaped[Floats, "n"]
+    b: Shaped[Floats, "n"]
+
+    def find_lines(self, cell_index: Shaped[Ints, "n"], h_along: Shaped[Floats, "n"]) -> Lines:
+        """Find the lines of zeros, moved to the mean positions of the edges.
+
+        `h_along` is the second derivative of the edge function along the line.
+        """
+        max_change = 0.5 * (np.abs(self.a) + np.abs(self.b))
+        is_negative = (self.a < 0) | ((self.a == 0) & (self.b < 0))
+        scale_factor = np.where(is_negative, -1.0, 1.0) / max_change
+        # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
+        a, b, c = scale((self.a, self.b, self.c + h_along / 24), scale_factor)
+        return Lines(cell_index=cell_index, a=a, b=b, c=c)
+
+
+def _fit_line_batch(edges: EdgeValues, tolerance: float) -> FittedLines:
+    """Fit a line to each edge, parallel to it near the centre, at the edge's mean position."""
+    f = _Quadratics.from_values(edges.values)
     h_across = f.compute_second_derivatives(f.a, f.b)
-    x, y = f.find_nearest_zeros(h_across)
-    # Replace f by its tangent plane c + a x + b y at this point.
-    c = f.c + f.a * x + f.b * y + 0.5 * (x * (f.h_xx * x + 2 * f.h_xy * y) + y * f.h_yy * y)
-    a, b = f.a + f.h_xx * x + f.h_xy * y, f.b + f.h_xy * x + f.h_yy * y
-    c -= a * x + b * y
-    h_along = f.compute_second_derivatives(-b, a)
-    max_change = 0.5 * (np.abs(a) + np.abs(b))
-    sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
-    lines = Lines(cell_index, *scale((a, b, c + h_along / 24), sign / max_change))
+    plane = f.compute_tangent_planes(*f.find_nearest_zeros(h_across))
+    h_along = f.compute_second_derivatives(-plane.b, plane.a)
+    lines = plane.find_lines(edges.cell_index, h_along)
     # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
-    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(a * a + b * b)
-    has_line, crosses_cell = turn <= _MAX_TURN, np.abs(lines.c) < 1
-    # A curved edge may cross a cell that its tangent misses.  The negated tests are True for NaN.
+    gradient = np.sqrt(plane.a * plane.a + plane.b * plane.b)
+    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / gradient
+    has_line = turn <= _MAX_TURN
+    crosses_cell = np.abs(lines.c) < 1
+    # A curved edge may cross a cell that its tangent misses, but none in which f has no zero, which
+    # is certain if |f.c| > 1.  The negated tests are True for NaN.
     may_cross = np.where(has_line, crosses_cell, ~(np.abs(f.c) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
-    return lines.take(find(has_line & crosses_cell)), cell_index[find(is_curved)]
+    return FittedLines(
+        lines=lines.take(find(has_line & crosses_cell)),
+        curved_cell_index=edges.cell_index[find(is_curved)],
+    )
 
 
-class InverseDepth(NamedTuple):
+class ExtendedFaces(NamedTuple):
     """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
 
     A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
@@ -230,22 +268,29 @@ class InverseDepth(NamedTuple):
     curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
 
     @classmethod
-    def from_hits(cls, hits: Hits) -> InverseDepth:
-        normal = np.empty(hits.from_eye.shape)
+    def from_hits(cls, hits: Hits) -> ExtendedFaces:
+        """Collect the face that each hit is on."""
+        scaled_normal = np.empty(hits.from_eye.shape)
         curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
         for group in hits.groups:
             planes = group.planes
             run_object = np.where(planes.face_axis == NO_AXIS, group.run_object, -1)
             curved_object[group.interval] = group.repeat_runs(run_object)
+            # The height of the eye above the plane is -(n . p).
             for axis, component in enumerate(planes.normal):
-                normal[axis, group.interval] = group.expand_to_hits(component / -planes.eye_height)
-        shapes = [shape for shape in hits.scene.shapes if shape.has_curved_face]
-        return cls(shapes, (normal[0], normal[1], normal[2]), curved_object)
+                scaled_component = component / -planes.eye_height
+                scaled_normal[axis, group.interval] = group.expand_to_hits(scaled_component)
+        return cls(
+            shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
+            scaled_normal=(scaled_normal[0], scaled_normal[1], scaled_normal[2]),
+            curved_object=curved_object,
+        )
 
-    def take(self, surface_index: Shaped[Ints, "m"]) -> InverseDepth:
-        """Select faces by index."""
-        normal = take(self.scaled_normal, surface_index)
-        return InverseDepth(self.shapes, normal, self.curved_object[surface_index])
+    def take(self, face_index: Shaped[Ints, "m"]) -> ExtendedFaces:
+        return self._replace(
+            scaled_normal=take(self.scaled_normal, face_index),
+            curved_object=self.curved_object[face_index],
+        )
 
     def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
         """Compute 1 / t for six rays to each face, where t * ray is the point on the face."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, compute_rays
+from tracer.antialias.edge_functions import EdgeValues, ExtendedFaces, compute_rays
 from tracer.arrays import (
     Bools,
     Floats,
@@ -153,7 +153,7 @@ class CellSurfaces(NamedTuple):
     """
 
     hits: Hits
-    inverse_depth: InverseDepth  # the faces at the hits
+    faces: ExtendedFaces  # that the hits are on
     cell_index: Shaped[Ints, "hits"]
     footprint_radius: Shaped[Floats, "hits"]
     cell_width: float  # in pixels
@@ -169,7 +169,7 @@ class CellSurfaces(NamedTuple):
         frame, (x, y, z) = self.hits.scene.frame, take(self.hits.from_eye, hit_index)
         depth_ratio = frame.depth / z
         ray = compute_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
-        return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
+        return ray, self.faces.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
         """Yield an edge for each cell in which the visible surface and one behind it may meet.
@@ -184,7 +184,7 @@ class CellSurfaces(NamedTuple):
         max_gap = compute_footprint_radii(hidden_hits, self.cell_width)
         max_gap += self.footprint_radius[visible_hit_index]
         is_close = hidden_hits.distance - self.hits.distance[visible_hit_index] <= max_gap
-        hidden_surfaces = InverseDepth.from_hits(hidden_hits)
+        hidden_surfaces = ExtendedFaces.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
             hit_index = visible_hit_index[hidden_index]
             ray, inverse_t = self.trace_rays(hit_index)

@@ -56,20 +56,27 @@ def place_weighted_points(
     For regions with too few points, the centroids of triangles that cover these regions are added
     at the end, after the points of the last cell.
     """
+    cell_index = np.arange(cell_count)
     line_start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
-    cell_index, max_lines = np.arange(cell_count), int(np.diff(line_start).max(initial=0))
+    max_lines = int(np.diff(line_start).max(initial=0))
     # The index of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
     region_index = np.repeat(cell_index[None] << max_lines, points.size, axis=0)
     for line_number in range(max_lines):
         column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, position)
         region_index[:, column_index] |= (values > 0) << line_number
-    position, region_index = position.T.ravel(), region_index.T.ravel()
+    position = position.T.ravel()
+    region_index = region_index.T.ravel()
     centroids = _divide_into_triangles(lines, line_start, max_lines)
     region_count = cell_count << max_lines
     weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
     added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
-    placed_points = WeightedPoints(cell_index.repeat(points.size), position, weight, region_index)
+    placed_points = WeightedPoints(
+        cell_index=cell_index.repeat(points.size),
+        position=position,
+        weight=weight,
+        region_index=region_index,
+    )
     added_points = (field[added_index] for field in centroids)
     return WeightedPoints._make(map(np.append, placed_points, added_points))
 
@@ -79,8 +86,7 @@ def find_samples_in_mixed_regions(
 ) -> Shaped[Ints, "k"]:
     """Find at least one sample in each region where the ids of samples differ.
 
-    Samples with the same id hit the same face of the same object, under the same lights.  Different
-    ids in a region reveal an edge that no line represents.
+    Different ids (see `classify`) in a region reveal an edge that no line represents.
     """
     reference_id = np.empty(int(region_index.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region_index] = sample_id  # the id of an arbitrary sample in the region
@@ -101,7 +107,8 @@ def _evaluate_lines(
     """
     line_index = line_start[cell_index] + line_number
     column_index = find(line_index < line_start[cell_index + 1])
-    line, point = lines.take(line_index[column_index]), position[:, column_index]
+    line = lines.take(line_index[column_index])
+    point = position[:, column_index]
     return column_index, line.a * point.real + line.b * point.imag + line.c
 
 
@@ -140,11 +147,18 @@ def _divide_into_triangles(
         region_index[parent_index] = parent_region_index | (is_a_positive << line_number)
         new_region_index = parent_region_index | (~is_a_positive << line_number)
         region_index = np.concatenate([region_index, new_region_index, new_region_index])
-        cell_index = np.concatenate([cell_index, *[cell_index[parent_index]] * 2])
-    side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
+        parent_cell_index = cell_index[parent_index]
+        cell_index = np.concatenate([cell_index, parent_cell_index, parent_cell_index])
+    side_ab = corners[1] - corners[0]
+    side_ac = corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
     area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
-    return WeightedPoints(cell_index, corners.sum(axis=0) / 3, area, region_index)
+    return WeightedPoints(
+        cell_index=cell_index,
+        position=corners.sum(axis=0) / 3,
+        weight=area,
+        region_index=region_index,
+    )
 
 
 def _sum_by_region(
@@ -173,13 +187,17 @@ def _compute_moments(
 ) -> _PointMoments:
     """Compute the mean and the covariance of the points in each region."""
 
-    def average(values: Floats) -> Floats:
+    def average(values: Shaped[Floats, "n"]) -> Shaped[Floats, "region_count"]:
         return _sum_by_region(region_index, values, region_count) / count
 
     count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
-    mean_x, mean_y = average(position.real), average(position.imag)
-    x, y = position.real - mean_x[region_index], position.imag - mean_y[region_index]
-    cov_xx, cov_xy, cov_yy = average(x * x), average(x * y), average(y * y)
+    mean_x = average(position.real)
+    mean_y = average(position.imag)
+    x = position.real - mean_x[region_index]
+    y = position.imag - mean_y[region_index]
+    cov_xx = average(x * x)
+    cov_xy = average(x * y)
+    cov_yy = average(y * y)
     return _PointMoments(
         point_count=count,
         mean_x=mean_x,
@@ -213,7 +231,8 @@ def _compute_weights(
     moment_x = _sum_by_region(centroids.region_index, weighted_x, region_count)
     moment_y = _sum_by_region(centroids.region_index, weighted_y, region_count)
     # The vector from the mean to the region's centroid, scaled by the area.
-    offset_x, offset_y = moment_x - area * moments.mean_x, moment_y - area * moments.mean_y
+    offset_x = moment_x - area * moments.mean_x
+    offset_y = moment_y - area * moments.mean_y
     divisor = np.where(is_represented, moments.point_count * moments.determinant, np.inf)
     # The gradient of the weight: the vector w t.
     gradient_x = (moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor

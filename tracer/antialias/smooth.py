@@ -1,10 +1,9 @@
-"""Estimate the mean radiance of smooth cells from the samples at their centres.
+"""Estimate the mean radiance of smooth cells from their center samples.
 
-No edge crosses a *smooth* cell (a pixel, or a square part of a pixel).  Its mean radiance is the
-radiance at its centre plus a correction for the curvature of the radiance.  Differences between the
-samples of neighbouring cells give the correction, and an estimate of the remaining error.  Only
-samples with the same *id* are compared: they hit the same face of the same object, under the same
-lights.
+See `classify` for the terms.  No edge crosses a smooth cell, so its mean radiance is the radiance
+at its centre plus a correction for the curvature of the radiance.  Differences between the samples
+of neighbouring cells give the correction, and an estimate of the remaining error.  Only samples
+with the same id are compared.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from tracer.arrays import Floats, Ints
 
 
 class CenterSamples(NamedTuple):
-    """The samples through the centres of n cells."""
+    """The center samples of n cells."""
 
     radiance: Shaped[Floats, "3 n"]  # linear RGB
     id: Shaped[Ints, "n"]  # -1 for the background
@@ -44,14 +43,17 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
     approximate these derivatives.  The error is NaN if neither neighbour in the row, or neither
     neighbour in the column, has the same id.  Results at the border are meaningless.
     """
-    radiance, pixel_id = pixel_samples
-    correction, error = np.zeros(radiance.shape), np.zeros(pixel_id.size)
+    radiance = pixel_samples.radiance
+    pixel_id = pixel_samples.id
+    correction = np.zeros(radiance.shape)
+    error = np.zeros(pixel_id.size)
     for neighbor_step in (1, width):  # along the row, then along the column
         inner_pixels = slice(neighbor_step, -neighbor_step)
         has_same_id = pixel_id[neighbor_step:] == pixel_id[:-neighbor_step]
         difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
         axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
-        matches_previous, matches_next = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
+        matches_previous = has_same_id[:-neighbor_step]
+        matches_next = has_same_id[neighbor_step:]
         # If only one neighbour has the same id, its difference from the pixel estimates the error.
         max_correction = np.abs(axis_correction).max(axis=0)
         axis_error = np.where(matches_previous | matches_next, max_correction, np.nan)
@@ -79,7 +81,8 @@ def estimate_quarter_means(
     tolerance
         Maximum error of the mean radiance of a cell.
     """
-    cell_id, quarter_id = cell_samples.id.repeat(4), quarter_samples.id
+    cell_id = cell_samples.id.repeat(4)
+    quarter_id = quarter_samples.id
     mean_of_quarters = quarter_samples.radiance.reshape(3, -1, 4).mean(axis=2)
     has_same_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
     correction = np.where(has_same_id, (mean_of_quarters - cell_samples.radiance) / 3, 0)
