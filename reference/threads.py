@@ -22,7 +22,7 @@ from reference.command import REFERENCE_FOLDER, build_path, list_scene_files, ma
 from reference.measured.measurements import describe_origin, time_alternately
 from tracer import SceneWarning, load_scene, render
 from tracer.command.failure import Failure
-from tracer.picture.parallel import has_lock
+from tracer.picture.parallel import has_gil
 
 # Minimum number of rounds in which each picture is timed.
 _MIN_ROUNDS = 5
@@ -49,7 +49,7 @@ def measure_scene(name: str, size: tuple[int, int]) -> str:
 def main() -> None:
     """Time all scenes, print each row as soon as it is measured, and write `threads.md`."""
     arguments = make_parser("reference.threads", quick_help="small sizes").parse_args()
-    if has_lock():
+    if has_gil():
         remedy = "run it with free-threaded Python, for example python3.14t"
         raise Failure("reference.threads", "this Python has a lock", remedy)
     warnings.simplefilter("ignore", SceneWarning)  # some windows are stretched

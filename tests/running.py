@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import tracer
-from tracer.picture.parallel import count_processors, has_lock
+from tracer.picture.parallel import count_processors, has_gil
 
 # A scene file for `str.format`, which takes the columns and the rows of the picture.  The window
 # has the same size, so pixels are square.
@@ -85,7 +85,7 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
 needs_two = pytest.mark.skipif(count_processors() < 2, reason="there is one processor")
 """Mark of tests that need two processors."""
 
-needs_processes = pytest.mark.skipif(not has_lock(), reason="this Python has no lock")
+needs_processes = pytest.mark.skipif(not has_gil(), reason="this Python has no lock")
 """Mark of tests of the command's worker processes, in whose place such a Python has threads."""
 
 

@@ -64,15 +64,7 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         If a file of another kind exists at `path`.  This is a subclass of OSError.
     """
     target_path = os.path.realpath(path)
-    old_mode: int | None = None
-    with suppress(FileNotFoundError):
-        old_mode = os.stat(target_path).st_mode
-        if not stat.S_ISREG(old_mode):
-            raise OSError(errno.EINVAL, "not a regular file", target_path)
-        # Open it for writing, because a file without write permission must not be replaced.
-        with open(target_path, "r+b") as old_file:
-            if old_file.read(len(magic)) not in (magic, b""):
-                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target_path)
+    old_mode = _check_old_file(target_path, magic)
     folder = os.path.dirname(target_path)
     # The name is random, because a name derived from that of the file could be too long.
     part_path = os.path.join(folder, f"{_part_prefix}{os.urandom(8).hex()}.part")
@@ -100,8 +92,25 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         part_files.discard(part_path)
 
 
+def _check_old_file(path: str, magic: bytes) -> int | None:
+    """Check that the file at a path may be replaced, and return its mode; None if there is none.
+
+    For `magic` and the errors, see `open_atomically`.
+    """
+    old_mode: int | None = None
+    with suppress(FileNotFoundError):
+        old_mode = os.stat(path).st_mode
+        if not stat.S_ISREG(old_mode):
+            raise OSError(errno.EINVAL, "not a regular file", path)
+        # Open it for writing, because a file without write permission must not be replaced.
+        with open(path, "r+b") as old_file:
+            if old_file.read(len(magic)) not in (magic, b""):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
+    return old_mode
+
+
 def _create_temporary_file(folder: str, fallback_path: str) -> IO[bytes]:
-    """Create a file without a name, or with the fallback path if the system has none of these."""
+    """Create a file without a name or, if the system has no such files, at the fallback path."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # some file systems do not support unnamed files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")

@@ -55,7 +55,7 @@ def submitted(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -
     The list grows while commands run in this process.
     """
     monkeypatch.setattr(cli, "count_processors", lambda: 2)
-    monkeypatch.setattr(batch, "has_lock", lambda: request.param)
+    monkeypatch.setattr(batch, "has_gil", lambda: request.param)
     pool = batch.WorkerPool if request.param else batch.Threads
     return record_calls(monkeypatch, pool, "submit", lambda _pool, _function, item: type(item))
 

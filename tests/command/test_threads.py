@@ -26,7 +26,7 @@ SCENES = ROOT / "scenes"
 def no_lock(monkeypatch: pytest.MonkeyPatch, small_tiles: None) -> None:
     """Use three threads, as Python without a lock does with three processors."""
     for module in (parallel, batch):
-        monkeypatch.setattr(module, "has_lock", lambda: False)
+        monkeypatch.setattr(module, "has_gil", lambda: False)
     for module in (parallel, render_module, cli):
         monkeypatch.setattr(module, "count_processors", lambda: 3)
 
@@ -120,7 +120,7 @@ def test_with_a_lock_or_an_executor_there_is_one_thread(monkeypatch, workers):
     with ThreadPoolExecutor(1) as pool:
         render(sphere_scene(), executor=pool, threads=3)
         assert len(workers) == 1
-    monkeypatch.setattr(parallel, "has_lock", lambda: True)
+    monkeypatch.setattr(parallel, "has_gil", lambda: True)
     render(sphere_scene(), threads=3)
     assert len(workers) == 1
 
@@ -137,7 +137,7 @@ def test_invalid_numbers_of_threads(threads, error, message):
 
 def test_a_small_picture_starts_no_thread(monkeypatch, workers):
     monkeypatch.undo()
-    monkeypatch.setattr(parallel, "has_lock", lambda: False)
+    monkeypatch.setattr(parallel, "has_gil", lambda: False)
     started = []
     monkeypatch.setattr(threading.Thread, "start", lambda thread: started.append(thread))
     render(sphere_scene(40, 30))

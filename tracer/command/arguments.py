@@ -100,8 +100,8 @@ def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     The file need not exist.  Raise Failure, with the given exit status, if the path is relative and
     the working folder has been deleted.
     """
-    subject, remedy = "the working folder", "change to another"
-    with errors_as_failure(subject, "found", remedy, exit_status=exit_status):
+    remedy = "change to another"
+    with errors_as_failure("the working folder", "found", remedy, exit_status=exit_status):
         return os.path.realpath(path)
 
 

@@ -10,8 +10,8 @@ A worker declines a scene that is large, or that is one of the last and not smal
 of the command, which works, too, then reads the scene, puts the tiles of the picture in front of
 the other items, and writes the picture.
 
-Workers are processes, or threads where Python has no lock.  They are started only if the remaining
-work takes longer than starting them.
+Workers are processes, or threads where Python has no global interpreter lock.  They are started
+only if the remaining work takes longer than starting them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dataclasses import replace
 from functools import partial
 from operator import add
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import Failure, errors_as_failure
@@ -46,7 +46,7 @@ from tracer.picture.linear import (
     write_npy,
 )
 from tracer.picture.lint import Exposure, lint_scene
-from tracer.picture.parallel import Distribution, Threads, WorkerPool, has_lock
+from tracer.picture.parallel import Distribution, Threads, WorkerPool, has_gil
 from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
 from tracer.picture.render import (
     PROCESSES,
@@ -55,6 +55,7 @@ from tracer.picture.render import (
     Rectangle,
     RenderJob,
     Sharing,
+    TileEncoder,
     render_tiles,
 )
 from tracer.scene.model import Scene
@@ -66,8 +67,9 @@ class Format(NamedTuple):
     """A picture format."""
 
     magic: bytes  # the first bytes of a file
-    encode: Callable[..., Any]  # makes, from the radiance of a tile, the argument of `write`
-    write: Callable[..., None]  # writes a file from its width, its height and all encoded tiles
+    encode: TileEncoder
+    # Writes a file from its width, its height and the results of `encode` for all tiles.
+    write: Callable[[IO[bytes], int, int, Iterable[Any]], None]
 
 
 FORMATS: dict[str, Format] = {
@@ -112,7 +114,7 @@ class _Tile(NamedTuple):
 
     render_job: RenderJob
     rectangle: Rectangle
-    encode: Callable[..., Any]  # of the `Format`
+    encode: TileEncoder
 
     def render(self) -> EncodedTile:
         return self.render_job.encode_tile(self.rectangle, self.encode)
@@ -142,12 +144,14 @@ class Batch:
     _sharing: Sharing
 
     def __init__(self, settings: Settings, max_processes: int) -> None:
-        self._settings, worker_count = settings, max_processes - 1
-        if has_lock():
-            initializer = partial(_init_worker, get_part_prefix())
-            self._pool, self._sharing = WorkerPool(worker_count, initializer), PROCESSES
+        self._settings = settings
+        worker_count = max_processes - 1
+        if has_gil():
+            self._pool = WorkerPool(worker_count, partial(_init_worker, get_part_prefix()))
+            self._sharing = PROCESSES
         else:
-            self._pool, self._sharing = Threads(worker_count), THREADS
+            self._pool = Threads(worker_count)
+            self._sharing = THREADS
 
     def close(self) -> None:
         """End the workers, if there are any, and remove part files of processes."""
@@ -166,18 +170,21 @@ class Batch:
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
         limits = [_MAX_UNSHARED_SECONDS] * unshared_count
         limits += [self._sharing.min_seconds] * (len(jobs) - unshared_count)
-        items = [Job(*job[:2], limit) for job, limit in zip(jobs, limits, strict=True)]
+        items = [
+            job._replace(min_shared_seconds=limit) for job, limit in zip(jobs, limits, strict=True)
+        ]
         # If a worker declines a scene or fails, for example because it lacks memory, this thread
         # renders the scene.
         self._distribution = Distribution[Job | _Tile, Any](
-            self._process,
-            partial(_process_in_worker, self._settings),
-            worker_count,
+            function=self._process,
+            remote_function=partial(_process_in_worker, self._settings),
+            worker_count=worker_count,
             is_valid=lambda _item, result: result is not None,
         )
         # Numbers of finished scenes, and of pixels in their pictures.
         self._finished_count = self._pixel_count = 0
-        self._job_count, has_succeeded = len(jobs), True
+        self._job_count = len(jobs)
+        has_succeeded = True
         self._unshared_paths = [job.output_path for job in jobs]  # see `share_folders`
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution.process(items), strict=True):
@@ -198,7 +205,8 @@ class Batch:
         """
         if isinstance(item, _Tile):
             return item.render()
-        start_time, encode = perf_counter(), FORMATS[self._settings.file_format].encode
+        start_time = perf_counter()
+        encode = FORMATS[self._settings.file_format].encode
         try:
             render_job = _make_render_job(item, self._settings)
             # The other scenes presumably take about as long.
@@ -207,7 +215,10 @@ class Batch:
                 self._use_workers()
             if render_job.seconds >= item.min_shared_seconds:
                 rectangles = render_job.divide(self._sharing if self._pool.worker_count else None)
-                items = [_Tile(render_job, rectangle, encode) for rectangle in rectangles]
+                items = [
+                    _Tile(render_job=render_job, rectangle=rectangle, encode=encode)
+                    for rectangle in rectangles
+                ]
                 tiles = self._distribution.process(items)
             else:
                 tiles = render_tiles(render_job, encode, threads=1)
@@ -225,7 +236,8 @@ class Batch:
 
     def _track(self, render_job: RenderJob, tiles: Iterator[EncodedTile]) -> Iterator[EncodedTile]:
         """Yield tiles of a picture; after each, show the progress, and keep the workers busy."""
-        all_pixels, pixel_count = render_job.width * render_job.height, 0
+        all_pixels = render_job.width * render_job.height
+        pixel_count = 0
         self._distribution.submit_items()
         for tile in tiles:
             yield tile
@@ -257,7 +269,8 @@ def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | Encode
         return item.render()
     if item.scene_path == "-":  # only the main process can read standard input
         return None
-    start_time, render_job = perf_counter(), _make_render_job(item, settings)
+    start_time = perf_counter()
+    render_job = _make_render_job(item, settings)
     if render_job.seconds >= item.min_shared_seconds:
         return None
     tiles = render_tiles(render_job, FORMATS[settings.file_format].encode, threads=1)
@@ -303,13 +316,20 @@ def _write_picture(
     ):
         file_format.write(file, render_job.width, render_job.height, list_data())
     if settings.quiet:
-        return Report(exposure.pixel_count)
-    seconds = perf_counter() - start_time
+        return Report(pixel_count=exposure.pixel_count)
+    return _make_report(job, render_job, exposure, seconds=perf_counter() - start_time)
+
+
+def _make_report(job: Job, render_job: RenderJob, exposure: Exposure, *, seconds: float) -> Report:
+    """Report a picture that was written in the given time, with warnings about its scene."""
     line = f"{job.output_path}: {render_job.width} x {render_job.height} pixels in {seconds:.3f} s"
     whole_exposure = exposure if render_job.is_whole else None
     warnings = lint_scene(render_job.scene, render_job.prepared_scene, whole_exposure)
-    warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
-    return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
+    return Report(
+        pixel_count=exposure.pixel_count,
+        line=make_printable(line),
+        notices=tuple(make_printable(f"{job.scene_path}: warning: {text}") for text in warnings),
+    )
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
@@ -333,8 +353,9 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
         scene = load_scene(sys.stdin.buffer if path == "-" else path)
     if size is None:
         return scene
-    proportional_height = max(1, round(size[0] * scene.height / scene.width))
-    width, height = (*size, proportional_height)[:2]
+    width = size[0]
+    proportional_height = max(1, round(width * scene.height / scene.width))
+    height = size[1] if len(size) > 1 else proportional_height
     try:
         return replace(scene, width=width, height=height)
     except SceneError as error:

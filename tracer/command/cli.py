@@ -73,6 +73,21 @@ _POLL_SECONDS = 0.1
 _TIME_RESOLUTION_SECONDS = 3.0
 
 
+class _Arguments(argparse.Namespace):
+    """The command-line arguments, described in `_HELP`; None if one is not given."""
+
+    scenes: list[str]
+    output: str | None
+    format: str | None
+    samples: int
+    size: tuple[int, ...] | None
+    crop: tuple[int, int, int, int] | None
+    watch: bool
+    processes: int | None
+    pixel: tuple[int, int] | None
+    quiet: bool
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command ``tracer``: render scenes to picture files, watch them, or explain a pixel.
 
@@ -97,9 +112,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = _make_parser()
     _check_size(parser, sys.argv[1:] if argv is None else argv)
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args(argv, namespace=_Arguments())
     if arguments.pixel is not None:
-        return _explain_pixels(parser, arguments)
+        return _explain_pixels(parser, arguments, arguments.pixel)
     file_format = _choose_format(parser, arguments)
     jobs = _make_jobs(parser, arguments, file_format)
     if file_format == "exr":
@@ -179,7 +194,7 @@ def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
             parser.error(f"--size {width} {height}: a size is one argument; write {size}")
 
 
-def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
+def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
     """Choose the picture format from the option --format, or the suffix of the file named by -o.
 
     If neither option determines the format, it is "png".  If the suffix is unknown or contradicts
@@ -196,7 +211,7 @@ def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
     return suffix[1:].lower()
 
 
-def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
+def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -> list[Job]:
     """List the scenes to render, each with the path of its picture, in the order of the arguments.
 
     Without the option -o, the format is added to the name of the scene file, as in SCENE.xml.png.
@@ -204,7 +219,9 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     the parser ends the process with an error.  Raise Failure if the working folder has been
     deleted.
     """
-    scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
+    scenes = arguments.scenes
+    output = arguments.output
+    watch = arguments.watch
     for scene in scenes:
         if os.path.splitext(scene)[1][1:].lower() in FORMATS:
             parser.error(f"{scene}: a picture is not a scene; to write it, use -o {scene}")
@@ -221,16 +238,18 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
             parser.error("-o -: an EXR file cannot go to standard output")
         if sys.stdout is not None and sys.stdout.isatty():
             parser.error("-o -: standard output is a terminal; write the picture to a file")
-        return [Job(scenes[0], output)]
+        return [Job(scene_path=scenes[0], output_path=output)]
     if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
         parser.error(f"-o {output}: not a regular file; for standard output, use -o -")
     default_paths = [f"{scene}.{file_format}" for scene in scenes]
     paths = choose_output_paths(parser, scenes, output, default_paths)
-    return [Job(scene, path) for scene, path in zip(scenes, paths, strict=True)]
+    return [
+        Job(scene_path=scene, output_path=path) for scene, path in zip(scenes, paths, strict=True)
+    ]
 
 
-def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
-    """Print, for each scene, how the colour of the requested pixel is computed.
+def _explain_pixels(parser: CommandParser, arguments: _Arguments, pixel: tuple[int, int]) -> int:
+    """Print, for each scene, how the colour of a pixel (its column and row) is computed.
 
     If this fails for a scene, an error is printed, the other scenes are still explained, and the
     exit status that is returned is 1.
@@ -243,7 +262,7 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
     def print_explanation(path: str) -> None:
         scene = read_scene(path, arguments.size)
         try:
-            text = str(explain(scene, *arguments.pixel))
+            text = str(explain(scene, *pixel))
         except ValueError as error:
             raise Failure(path, str(error), "columns and rows count from 0") from error
         if len(arguments.scenes) > 1:
@@ -293,13 +312,15 @@ class _FileVersion:
 
 def _read_version(path: str, previous: _FileVersion | None) -> _FileVersion:
     """Read the version of a file, given the one that was read before."""
-    now, status, is_readable = monotonic(), None, False
+    now = monotonic()
+    status = None
+    is_readable = False
     with suppress(OSError):
         result = os.stat(path)
         status = result.st_mtime_ns, result.st_size, result.st_ino
         is_readable = stat.S_ISREG(result.st_mode) and result.st_size <= MAX_BYTES
     if previous is None or previous.status != status:
-        previous = _FileVersion(status, checksum=0, first_seen=now, is_settled=False)
+        previous = _FileVersion(status=status, checksum=0, first_seen=now, is_settled=False)
     elif previous.is_settled:
         return previous
     checksum = 0

@@ -27,8 +27,10 @@ class Failure(Exception):  # noqa: N818
 
     def __init__(self, subject: str, problem: str, remedy: str = "", exit_status: int = 1) -> None:
         super().__init__(subject, problem, remedy, exit_status)  # so that it can be pickled
-        self.subject, self.problem = subject, problem
-        self.remedy, self.exit_status = remedy, exit_status
+        self.subject = subject
+        self.problem = problem
+        self.remedy = remedy
+        self.exit_status = exit_status
 
     def __str__(self) -> str:
         text = f"{make_printable(self.subject)}: {self.problem}" if self.subject else self.problem

@@ -116,7 +116,8 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
-    encoding, tqdm = stream.encoding or "utf-8", sys.modules.get("tqdm")
+    encoding = stream.encoding or "utf-8"
+    tqdm = sys.modules.get("tqdm")  # without it, no bar is shown
     try:
         with tqdm.tqdm.external_write_mode(stream) if tqdm else nullcontext():
             printable_line = text.encode(encoding, "backslashreplace").decode(encoding)

@@ -36,7 +36,9 @@ class Progress:
     """
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
-        self._total, self._unit, self._start_time = total, unit, perf_counter()
+        self._total = total
+        self._unit = unit
+        self._start_time = perf_counter()
         is_closed = sys.stderr is None or sys.stderr.closed
         # A bar; None if it may be created later; False if there can be no bar.
         self._bar: Any = None if show and not is_closed and sys.stderr.isatty() else False

@@ -5,8 +5,8 @@ solution has two parts.  (1) Any process can process any *item*, with the same r
 process depends on no other one: when no item is left to take, it repeats those that the workers
 have not finished.  So a worker that fails costs time, but no result.
 
-The workers of a command are processes: between two operations on arrays, a thread needs the lock of
-the Python interpreter, so threads would often wait for each other.  Where Python has no such lock
+The workers of a command are processes: between two operations on arrays, a thread needs Python's
+global interpreter lock, so threads would often wait for each other.  Where Python has no such lock
 (*free-threaded* Python), they are threads of this process, and `tracer.render` starts some, too.
 """
 
@@ -51,8 +51,8 @@ def count_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def has_lock() -> bool:
-    """Test whether this Python has a lock that lets only one thread run at a time."""
+def has_gil() -> bool:
+    """Test whether only one thread at a time can run Python code (global interpreter lock)."""
     return bool(getattr(sys, "_is_gil_enabled", lambda: True)())
 
 
@@ -63,7 +63,7 @@ def choose_thread_count(max_threads: int | None) -> int:
     `multiprocessing` has not started.  All others presumably share the processors already: if each
     thread of a pool started one thread for each processor, they would be in each other's way.
     """
-    if has_lock():
+    if has_gil():
         return 1
     if max_threads is not None:
         return max_threads
@@ -86,20 +86,20 @@ class Executor(Protocol):
 
 @dataclass(eq=False)
 class _Task(Generic[_Item, _Result]):
-    """An item, and its result once it has been processed."""
+    """An item, and its result once it has been processed.  All tasks are different dict keys."""
 
     item: _Item
-    results: tuple[_Result, ...] = ()  # at most one
-    seconds: float = 0.0  # that this process took for the item
+    results: tuple[_Result, ...] = ()  # empty, or one result, which may be None
+    seconds: float = 0.0  # that this process took for the item; 0 if it has not processed it
 
 
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and the workers of an executor process together.
 
-    All take items from the front of the list.  When no item is left to take, this process repeats
-    the items that the workers have not finished, first those that no worker has begun.  Before it
-    repeats an item that a worker has begun, it waits for as long as its own slowest item took.  If
-    the executor fails to process an item, this process repeats it.
+    All take items from the front of the list.  This process repeats an item in two cases: the
+    executor has failed to process it, or no item is left to take.  In the second case, it begins
+    with the items that no worker has begun.  Before it repeats an item that a worker has begun, it
+    waits for as long as its own slowest item took.
 
     While this process is busy with a large item, it can divide the item: a nested call of `process`
     puts the parts in front of all other items.
@@ -115,11 +115,10 @@ class Distribution(Generic[_Item, _Result]):
         Number of workers of the executor, which determines how many items are submitted to it.
     executor
         None if this process does all the work.  The attribute can be set at any time, to share the
-        remaining items.
+        remaining items.  It becomes None if submitting an item fails.
     is_valid
         Tests an item and the result that the executor returns for it: a worker may decline an item,
-        and an executor of a user may return anything.  If the result is not valid, this process
-        repeats the item.
+        and an executor of a user may return anything.  An invalid result counts as a failure.
     """
 
     def __init__(
@@ -130,9 +129,12 @@ class Distribution(Generic[_Item, _Result]):
         executor: Executor | None = None,
         is_valid: Callable[[_Item, Any], bool] = lambda _item, _result: True,
     ) -> None:
-        self._function, self._remote_function = function, remote_function
-        self._worker_count, self.executor, self._is_valid = worker_count, executor, is_valid
-        self._waiting = deque[_Task[_Item, _Result]]()  # that nobody has taken
+        self._function = function
+        self._remote_function = remote_function
+        self._worker_count = worker_count
+        self.executor = executor
+        self._is_valid = is_valid
+        self._waiting = deque[_Task[_Item, _Result]]()  # tasks that nobody has taken
         # Futures whose results have not been collected, in order of submission.
         self._futures = dict[_Task[_Item, _Result], "Future[Any]"]()
 
@@ -141,8 +143,8 @@ class Distribution(Generic[_Item, _Result]):
 
         A caller that stops early must close the iterator, so that the remaining items are dropped.
         """
-        # All of them that wait are at the front of the list: a nested call has ended before the
-        # next item is taken here.
+        # A dict, to keep the order and to look tasks up.  Those of its tasks that nobody has taken
+        # stay at the front of `_waiting`: a nested call ends before another task is taken here.
         tasks = dict.fromkeys(_Task[_Item, _Result](item) for item in items)
         self._waiting.extendleft(reversed(tasks))
         try:
@@ -151,7 +153,8 @@ class Distribution(Generic[_Item, _Result]):
                     self.submit_items()
                     self._process_next_task(tasks.keys())
                     self._collect_results(tasks.keys())
-                result, task.results = task.results[0], ()  # because results may be large
+                result = task.results[0]
+                task.results = ()  # results may be large, and the tasks live until the end
                 yield result
         finally:
             self._drop(tasks.keys())
@@ -161,8 +164,6 @@ class Distribution(Generic[_Item, _Result]):
 
         Iteration calls this method before each item that this process takes.  A slow `function`
         should also call this method from time to time.
-
-        If the executor fails, `executor` is set to None, and this process does the remaining work.
         """
         if self.executor is None:
             return
@@ -179,11 +180,7 @@ class Distribution(Generic[_Item, _Result]):
             self.executor = None
 
     def _process_next_task(self, tasks: _Tasks) -> None:
-        """Process the next item or, if none is left, an item that the executor has not finished.
-
-        Before repeating an item that a worker may have begun, wait for the executor.  If the
-        executor finishes any item in time (see `_wait_for_executor`), repeat nothing.
-        """
+        """Process the first item that nobody has taken; if there is none, repeat or wait."""
         if self._waiting and self._waiting[0] in tasks:
             self._process_task(self._waiting.popleft())
             return
@@ -191,12 +188,18 @@ class Distribution(Generic[_Item, _Result]):
         if futures:
             # Workers have probably not begun the item that was submitted last.
             task, future = futures.popitem()
-            # Threads always answer.
-            has_threads = isinstance(self.executor, Threads)
-            max_seconds = None if has_threads else max(task.seconds for task in tasks)
-            if future.cancel() or not _wait_for_any([*futures.values(), future], max_seconds):
-                del self._futures[task]
-                self._process_task(task)
+            has_begun = not future.cancel()
+            if has_begun and self._is_any_done_in_time([*futures.values(), future], tasks):
+                return  # there are results to collect, or other items to repeat first
+            del self._futures[task]
+            self._process_task(task)
+
+    def _is_any_done_in_time(self, futures: list[Future[Any]], tasks: _Tasks) -> bool:
+        """Wait until any future is done, or for as long as the slowest item took here."""
+        # Threads always answer.
+        if isinstance(self.executor, Threads):
+            return _wait_for_any(futures, None)
+        return _wait_for_any(futures, max(task.seconds for task in tasks))
 
     def _process_task(self, task: _Task[_Item, _Result]) -> None:
         """Process an item in this process, and measure how long it takes."""
@@ -205,10 +208,7 @@ class Distribution(Generic[_Item, _Result]):
         task.seconds = perf_counter() - start_time
 
     def _collect_results(self, tasks: _Tasks) -> None:
-        """Store the results of all items that the executor has finished.
-
-        Items that failed, or whose results are invalid, are processed again in this process.
-        """
+        """Store the results of items that the executor has finished; repeat those that failed."""
         for task in [task for task, future in self._futures.items() if future.done()]:
             if task not in tasks:
                 continue
@@ -228,7 +228,10 @@ class Distribution(Generic[_Item, _Result]):
 
 
 def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float | None) -> bool:
-    """Wait until any future is done; return False if none is after the time limit, if any."""
+    """Wait until any future is done, without a limit if `max_seconds` is None.
+
+    Return False if none is done after this time.
+    """
     from concurrent.futures import FIRST_COMPLETED, wait
 
     return bool(wait(futures, max_seconds, return_when=FIRST_COMPLETED).done)
@@ -273,7 +276,8 @@ class WorkerPool:
     """
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
-        self.worker_count, self._initializer = worker_count, initializer
+        self.worker_count = worker_count
+        self._initializer = initializer
         self._executor: ProcessPoolExecutor | None = None
         self._start_count = 0
 
@@ -306,24 +310,19 @@ class WorkerPool:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def _create_executor(self) -> ProcessPoolExecutor:
-        """Create an executor that forks its processes if that is safe, and spawns them otherwise.
-
-        Also suppress, in this process, the warnings of Python's resource tracker and the tracebacks
-        of exceptions that end a thread.
-        """
+        """Create an executor that forks its workers if that is safe, and spawns them otherwise."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
+        _silence_pools()
         # Forking is not safe while other threads run, because they may hold locks.
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
-        context = multiprocessing.get_context(method)
-        # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
-        # workers.  It must not print a warning about this.
-        sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
-        # If the system cannot start another thread, one of the pool's threads dies.  No message is
-        # needed, because this process then does all the work.
-        threading.excepthook = lambda _: None
-        return ProcessPoolExecutor(self.worker_count, context, _init_worker, (self._initializer,))
+        return ProcessPoolExecutor(
+            self.worker_count,
+            mp_context=multiprocessing.get_context(method),
+            initializer=_init_worker,
+            initargs=(self._initializer,),
+        )
 
     def close(self) -> None:
         """End the workers, by force after `_MAX_END_SECONDS`, and shut down their executor.
@@ -339,6 +338,16 @@ class WorkerPool:
         with suppress(RuntimeError):  # the system cannot start another thread
             shutdown_thread.start()
             shutdown_thread.join(_MAX_END_SECONDS)
+
+
+def _silence_pools() -> None:
+    """Suppress messages about failing pools, in this whole process and until it ends."""
+    # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
+    # workers.  It must not print a warning about this.
+    sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
+    # If the system cannot start another thread, one of the pool's threads dies.  Its traceback is
+    # not needed, because the work is done without the pool.
+    threading.excepthook = lambda _: None
 
 
 def _init_worker(initializer: Callable[[], None] | None) -> None:

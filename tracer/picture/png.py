@@ -29,13 +29,32 @@ from tracer.files import open_atomically
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file (5.2)."""
 
-# The code of radiance x is round(_MAX_CODE x^(1 / gamma)).  Gamma is 11 / 5 = 2.2, given as two
-# integers because thresholds are computed exactly.
+# The code of radiance x is round(_MAX_CODE x^(1 / gamma)).
 _MAX_CODE = 255
+
+# Numerator and denominator of gamma, 11 / 5 = 2.2: thresholds are computed exactly, with integers.
 _GAMMA = 11, 5
+
+# Radiance is raised to at least this value, whose code is 0, because powers of 0 take longer.
+_MIN_RADIANCE = 1e-9
+
+# Maximum error of the estimate of a threshold, in units in the last place (ulps), with a margin.
+_MAX_ESTIMATE_ULPS = 4
 
 # Number of values that are encoded or compressed together: they stay in the CPU cache.
 _VALUES_PER_BATCH = CACHE_SIZE
+
+# Level of compression of zlib.  Level 3 takes no longer than level 1.
+_COMPRESSION_LEVEL = 3
+
+# Header of a zlib stream with a window of 32 KB, and fast compression (RFC 1950).
+_ZLIB_HEADER = b"\x78\x5e"
+
+# An empty block that is marked as the last one of a stream (RFC 1951).
+_LAST_BLOCK = b"\x03\x00"
+
+# Adler-32 checksum of no bytes.
+_EMPTY_CHECKSUM = 1
 
 # Modulus of Adler-32 checksums: the largest prime below 2^16 (RFC 1950).
 _ADLER_MODULUS = 65521
@@ -65,7 +84,7 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
         If the file cannot be written, or a file that is not a PNG exists at the path.
     """
     radiance = _validate_radiance(image)
-    height, width, _ = radiance.shape
+    height, width, _channels = radiance.shape
     rows_per_tile = max(1, _VALUES_PER_BATCH // (3 * max(1, width)))
     row_starts = range(0, height, rows_per_tile)
     tiles = (compress_tile(radiance[start : start + rows_per_tile]) for start in row_starts)
@@ -109,10 +128,10 @@ def compress_tile(
     if is_leftmost:
         # Filters would hide exact repetitions, which are common in pictures.
         rows = np.pad(rows, ((0, 0), (1, 0)))
-    # Level 3 takes no longer than level 1.
-    compressor = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
+    # A negative window size requests blocks without the header and the checksum of a stream.
+    compressor = zlib.compressobj(_COMPRESSION_LEVEL, wbits=-zlib.MAX_WBITS)
     data = compressor.compress(rows.data) + compressor.flush(zlib.Z_FULL_FLUSH)
-    return CompressedTile(data, rows.size, zlib.adler32(rows.data))
+    return CompressedTile(data=data, size=rows.size, checksum=zlib.adler32(rows.data))
 
 
 def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[CompressedTile]) -> None:
@@ -134,23 +153,25 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     file.write(PNG_MAGIC)
     # 8 bits per channel, RGB, the standard compression and filter methods, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-    # The pixels are one zlib stream (RFC 1950).  It has a header (window of 32 KB, fast
-    # compression), the blocks of the tiles, an empty last block, and a checksum.
-    zlib_header, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
+    # The pixels are one zlib stream: its header, the blocks of the tiles, and its end.
+    stream_header = _ZLIB_HEADER
+    checksum = _EMPTY_CHECKSUM
+    remaining_bytes = height * (1 + 3 * width)
     for tile in tiles:
-        write_chunk(b"IDAT", zlib_header + tile.data)
-        zlib_header, checksum = b"", _combine_checksums(checksum, tile.checksum, tile.size)
+        write_chunk(b"IDAT", stream_header + tile.data)
+        stream_header = b""  # only the first chunk contains it
+        checksum = _combine_checksums(checksum, tile.checksum, tile.size)
         remaining_bytes -= tile.size
     if remaining_bytes:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
-    write_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", checksum))
+    write_chunk(b"IDAT", _LAST_BLOCK + struct.pack(">I", checksum))
     write_chunk(b"IEND", b"")
 
 
 def _combine_checksums(first_checksum: int, second_checksum: int, second_size: int) -> int:
     """Combine the Adler-32 checksums of two byte strings into the checksum of the joined string.
 
-    An Adler-32 checksum (RFC 1950) has two halves of 16 bits, modulo 65521.  The lower half is 1
+    An Adler-32 checksum has two halves of 16 bits, modulo `_ADLER_MODULUS`.  The lower half is 1
     plus the sum of the bytes.  The upper half is the sum of the lower halves after each byte.
     """
     lower1, upper1 = first_checksum & 0xFFFF, first_checksum >> 16
@@ -185,13 +206,16 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     """
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
-    flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    next_thresholds, (p, q) = _compute_next_thresholds(), _GAMMA
+    flat_radiance = radiance.reshape(-1)
+    flat_codes = codes.reshape(-1)
+    next_thresholds = _compute_next_thresholds()
+    gamma_numerator, gamma_denominator = _GAMMA
+    exponent = gamma_denominator / gamma_numerator
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        values = np.clip(flat_radiance[batch], 1e-9, 1.0)  # powers of 0 take longer
+        values = np.clip(flat_radiance[batch], _MIN_RADIANCE, 1.0)
         # Rounded down, the code is right or one too small, whatever the error of the power.
-        lower_codes = (_MAX_CODE * values ** (q / p)).astype(np.uint8)
+        lower_codes = (_MAX_CODE * values**exponent).astype(np.uint8)
         np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
     return codes
 
@@ -199,8 +223,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
 def _validate_radiance(image: ArrayLike) -> Shaped[Floats, "height width 3"]:
     """Check that an image is linear radiance, and convert it to a contiguous float64 array.
 
-    The result is `image` itself if that is already such an array.  The errors are those of
-    `to_codes`.
+    The result is `image` itself if that is already such an array.  For errors, see `to_codes`.
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:
@@ -228,16 +251,22 @@ def _compute_next_thresholds() -> Shaped[Floats, "256"]:
 
 def _compute_threshold(code: int) -> float:
     """Compute the smallest float64 radiance whose 8-bit code is at least `code` (1 to 255)."""
-    p, q = _GAMMA  # gamma is p / q
+    gamma_numerator, gamma_denominator = _GAMMA
+    whole_power, remainder = divmod(gamma_numerator, gamma_denominator)
     relative_code = (code - 0.5) / _MAX_CODE
-    # Splitting the exponent limits the error to a few units in the last place (ulps).
-    estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
+    # Splitting the exponent keeps the error small.
+    root: float = relative_code ** (remainder / gamma_denominator)
+    estimate = relative_code**whole_power * root
 
     def reaches_threshold(radiance: float) -> bool:
         """Test exactly whether the 8-bit code of a radiance is `code` or more."""
-        # This is 255 radiance^(q / p) >= code - 1/2, multiplied by 2 and raised to the power p.
+        # This is 255 radiance^(1 / gamma) >= code - 1/2, multiplied by 2, and raised to the power
+        # gamma_numerator.
         numerator, denominator = radiance.as_integer_ratio()
-        return bool((2 * _MAX_CODE) ** p * numerator**q >= (2 * code - 1) ** p * denominator**q)
+        radiance_side = (2 * _MAX_CODE) ** gamma_numerator * numerator**gamma_denominator
+        code_side = (2 * code - 1) ** gamma_numerator * denominator**gamma_denominator
+        return bool(radiance_side >= code_side)
 
-    candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
+    ulp_range = range(-_MAX_ESTIMATE_ULPS, _MAX_ESTIMATE_ULPS + 1)
+    candidates = (estimate + ulps * math.ulp(estimate) for ulps in ulp_range)
     return next(filter(reaches_threshold, candidates))

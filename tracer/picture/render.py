@@ -12,13 +12,13 @@ adaptive
     In an adaptive picture, edges are found first, and only pixels that edges cross are sampled more
     than once.  Otherwise all pixels have the same samples.
 
-A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each process
-prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
-them with any executor.  `render_tiles` yields the tiles encoded for a file.
+A `RenderJob` is a picture to render.  `render` collects the radiance of all tiles in an array, and
+can share them with any executor.  `render_tiles` yields the tiles encoded for a file.
 
-Threads that render at once share a scene, a `RenderJob` and its `PreparedScene`.  None of them is
-changed after it is built, but for caches whose values do not depend on the thread that computes
-them.  If two threads render the same tile of a picture, they write the same bits.
+Threads that render at once share a scene, a `RenderJob` and its `PreparedScene`.  These objects do
+not change after they are built, except that they store values that are computed on demand, which
+are the same in whichever thread they are computed.  If two threads render the same tile of a
+picture, they write the same bits.
 
 Radiance is linear RGB.  A `Rectangle` gives the rows and columns of a tile in the picture.
 """
@@ -29,13 +29,13 @@ import io
 import operator
 import pickle
 import warnings
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import closing
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise, product
 from math import isqrt, sqrt
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
+from typing import Any, NamedTuple, Protocol, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
 
@@ -72,8 +72,8 @@ _ADAPTIVE_FACTOR = 4
 _MAX_TILE_SECONDS = 0.2
 
 # Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
-# few pixels take most of the time, so some tiles exceed their estimates by more.  None of 90 tiles
-# of three scenes took more than 0.3 s at 20,000 and 40,000 samples; without this, some took 0.75 s.
+# few pixels take most of the time, so some tiles exceed their estimates by more.  At 20,000 samples
+# and more, no tile took more than 0.3 s; without this, some took 0.75 s.
 _HALVING_SAMPLES = 10_000
 
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
@@ -82,14 +82,14 @@ _TILES_PER_PROCESSOR = 4
 # Estimated seconds for a picture of any size, for example for reading and preparing a small scene.
 _FIXED_SECONDS = 0.003
 
-# Estimated seconds for each sample, light, and object that the ray through the sample meets.  For
-# 21 scenes of 1 to 10,000 objects and 1 to 100 lights, the measured time was 0.5 to 1.8 times the
-# estimate; for 300 lights and one object, 0.1 times.
+# Estimated seconds for each sample, light, and object that the ray through the sample meets.  With
+# 1 to 100 lights, the measured time was 0.5 to 1.8 times the estimate; with 300, 0.1 times.
 _SECONDS_PER_SAMPLE = 4e-8
 
-# Four constants estimate how many samples a pixel of an adaptive picture takes, if n x n are
-# requested.  For 30 pictures of 80 x 45 to 1280 x 720 pixels and n = 2 to 200, the measured time
-# was 0.25 to 2.2 times the estimate.  This one is the number without edges.
+# The following five constants estimate how many samples a pixel of an adaptive picture takes, if
+# n x n are requested.  The measured time of 30 pictures was 0.25 to 2.2 times the estimate.
+
+# Number of samples in a pixel without edges.
 _ADAPTIVE_SAMPLES = 2.5
 
 # Each edge in the pixel adds n + n^2 / `_SQUARE_DIVISOR` samples.
@@ -101,10 +101,9 @@ _EDGE_FACTOR = 330
 # ... plus this factor times the density of pairs of silhouettes.
 _PAIR_FACTOR = 400
 
-# Maximum estimated number of samples in a pixel of an adaptive picture, divided by n^2.  Pixels
-# with many edges are sampled on a lattice, however many edges there are.  Without this limit,
-# pictures of 1,000 objects at 64 samples took twice as long: they were divided into more tiles, and
-# the pixels around each tile are classified, too.
+# Maximum number of samples that edges add to a pixel, divided by n^2: pixels with many edges are
+# sampled on a lattice, however many edges there are.  Without this limit, pictures of 1,000 objects
+# at 64 samples took twice as long: they had more tiles, and the pixels around each are classified.
 _MAX_ADAPTIVE_FACTOR = 2
 
 
@@ -119,16 +118,20 @@ class Sharing(NamedTuple):
 
 
 PROCESSES = Sharing(min_seconds=0.1, min_tile_seconds=0.02, is_even=False)
-"""For processes, which have to be started and prepare the scene again."""
+"""For processes, which take time to start and to prepare the scene."""
 
 THREADS = Sharing(min_seconds=0.02, min_tile_seconds=0.01, is_even=True)
 """For threads of this process."""
 
+# Minimum estimated seconds for a pixel: without objects, the estimate is 0, and any positive number
+# does instead.
+_MIN_SECONDS_PER_PIXEL = 1e-12
+
 # Maximum number of samples per pixel.
 _MAX_SAMPLES = 999_999_999
 
-# Maximum number of jobs that a process caches: several pictures may be rendered at the same time on
-# one executor, and preparing a scene for each tile would take longer than rendering the tile.
+# Maximum number of unpickled jobs that a process caches: several pictures may be rendered at the
+# same time on one executor.
 _MAX_CACHED_JOBS = 4
 
 Rectangle: TypeAlias = tuple[slice, slice]
@@ -196,17 +199,33 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
-    if not (executor is None or callable(getattr(executor, "submit", None))):
+    if executor is not None:
+        _check_executor(executor)
+    job = RenderJob(scene, samples, offset, crop)
+    image = _render_image(job, executor, job.choose_thread_count(threads))
+    exposure = Exposure.from_radiance(image) if job.is_whole else None
+    for warning in lint_scene(scene, job.prepared_scene, exposure):
+        warnings.warn(warning, SceneWarning, stacklevel=2)
+    return image
+
+
+def _check_executor(executor: object) -> None:
+    """Raise TypeError if an object is not an executor."""
+    if not callable(getattr(executor, "submit", None)):
         raise TypeError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
     if hasattr(executor, "get_executor"):
         message = "executor must be a concurrent.futures.Executor"
         raise TypeError(f"{message}: from a Dask client, client.get_executor()")
-    job = RenderJob(scene, samples, offset, crop)
-    thread_count = job.choose_thread_count(threads)
+
+
+def _render_image(
+    job: RenderJob, executor: Executor | None, thread_count: int
+) -> Shaped[Floats, "height width 3"]:
+    """Render a picture in threads, or in this process and an executor if one is given."""
     # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
     image = np.zeros((job.height, job.width, 3))
 
-    def select(rectangle: Rectangle) -> Floats:
+    def select(rectangle: Rectangle) -> Shaped[Floats, "rows columns 3"]:
         rows, columns = map(_to_inner_range, rectangle, job.rectangle)
         return image[rows, columns]
 
@@ -220,24 +239,24 @@ def render(
         if executor is None:
             sharing = THREADS if thread_count > 1 else None
             distribution = Distribution[Rectangle, Any](
-                render_into_image, render_into_image, pool.worker_count, pool
+                function=render_into_image,
+                remote_function=render_into_image,
+                worker_count=pool.worker_count,
+                executor=pool,
             )
         else:
             sharing = PROCESSES if job.seconds >= PROCESSES.min_seconds else None
             distribution = Distribution[Rectangle, Any](
-                render_into_image,
-                job.render_tile,
-                count_processors() if sharing else 0,
-                executor,
-                fits_tile,
+                function=render_into_image,
+                remote_function=job.render_tile,
+                worker_count=count_processors() if sharing else 0,
+                executor=executor,
+                is_valid=fits_tile,
             )
         tiles = job.divide(sharing)
         for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
             if radiance is not None:  # from the executor
                 select(rectangle)[:] = radiance
-    exposure = Exposure.from_radiance(image) if job.is_whole else None
-    for warning in lint_scene(scene, job.prepared_scene, exposure):
-        warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
@@ -283,30 +302,43 @@ def to_png(
     return file.getvalue()
 
 
+class TileEncoder(Protocol):
+    """Converts the radiance of a tile to data for a file: for example `compress_tile`."""
+
+    def __call__(
+        self, radiance: Shaped[Floats, "rows columns 3"], /, *, is_leftmost: bool = True
+    ) -> Any:
+        """Encode a tile; `is_leftmost` tells whether it is at the left edge of the picture."""
+
+
 class EncodedTile(NamedTuple):
     """A rendered tile, in a form for a file."""
 
-    data: Any  # from a function that is called with the radiance and the keyword `is_leftmost`
+    data: Any  # from a `TileEncoder`
     exposure: Exposure
 
 
 def render_tiles(
     job: RenderJob,
-    encode: Callable[..., Any] = compress_tile,
+    encode: TileEncoder = compress_tile,
     *,
     threads: SupportsIndex | None = None,
 ) -> Generator[EncodedTile]:
     """Render and encode the tiles of a picture, by default for a PNG file, in this process.
 
-    The number of threads is that of `render`.
+    For `threads`, see `render`.
     """
     thread_count = job.choose_thread_count(threads)
     rectangles = job.divide(THREADS if thread_count > 1 else None)
     encode_tile = partial(job.encode_tile, encode=encode)
     with closing(Threads(thread_count - 1)) as pool:
-        yield from Distribution(encode_tile, encode_tile, pool.worker_count, pool).process(
-            rectangles
+        distribution = Distribution(
+            function=encode_tile,
+            remote_function=encode_tile,
+            worker_count=pool.worker_count,
+            executor=pool,
         )
+        yield from distribution.process(rectangles)
 
 
 def _compute_samples_per_side(samples: SupportsIndex) -> int:
@@ -339,12 +371,21 @@ def _to_rectangle(crop: Crop, scene: Scene) -> Rectangle:
     return slice(top, top + height), slice(left, left + width)
 
 
+def _to_shift(offset: tuple[SupportsFloat, SupportsFloat]) -> tuple[float, float]:
+    """Convert an offset to floats; raise ValueError if it is not two finite numbers."""
+    shift = np.asarray(offset, dtype=np.float64)
+    if shift.shape != (2,) or not np.isfinite(shift).all():
+        raise ValueError(f"offset must be two finite numbers, not {offset!r}")
+    right, down = shift.tolist()
+    return right, down
+
+
 class RenderJob:
     """A picture or a crop of it, to be rendered, which can be divided into tiles.
 
-    Arguments, and the errors that they raise, are those of `render`.  A pickled job contains only
-    its arguments.  The process that unpickles the job prepares the scene again, unless it has
-    rendered the same job recently.
+    For arguments, and the errors that they raise, see `render`.  A pickled job contains only its
+    arguments.  The process that unpickles it prepares the scene again, which may take longer than
+    rendering a tile, so it caches jobs (`_MAX_CACHED_JOBS`).
     """
 
     scene: Scene
@@ -369,12 +410,9 @@ class RenderJob:
         self.rectangle = whole_picture if crop is None else _to_rectangle(crop, scene)
         self.height, self.width = (each.stop - each.start for each in self.rectangle)
         self.is_whole = self.rectangle == whole_picture
-        self._samples_per_side = per_side = _compute_samples_per_side(samples)
-        sample_shift = np.asarray(offset, dtype=np.float64)
-        if sample_shift.shape != (2,) or not np.isfinite(sample_shift).all():
-            raise ValueError(f"offset must be two finite numbers, not {offset!r}")
-        right, down = sample_shift.tolist()
-        self.prepared_scene = PreparedScene(scene, (right, down))
+        per_side = _compute_samples_per_side(samples)
+        self._samples_per_side = per_side
+        self.prepared_scene = PreparedScene(scene, _to_shift(offset))
         is_antialiased = per_side > 1
         uses_lattice = is_antialiased and is_supersampling_cheaper(self.prepared_scene, per_side)
         self._is_adaptive = is_antialiased and not uses_lattice
@@ -390,16 +428,22 @@ class RenderJob:
         The time is proportional to the number of samples in the pixel, to the number of lights, and
         to the mean number of objects on a ray.
         """
-        scene, sample_count = self.prepared_scene, float(self._lattice.size)
-        if self._is_adaptive:
-            pixel_count = scene.frame.width * scene.frame.height
-            silhouette_pairs = scene.bounds.estimate_silhouette_pairs(scene.frame)
-            edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_pairs
-            samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
-            max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
-            sample_count = _ADAPTIVE_SAMPLES + min(edges_per_pixel * samples_per_edge, max_samples)
-        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, scene.light_count)
-        return sample_count * seconds_per_hit * scene.depth_complexity
+        prepared_scene = self.prepared_scene
+        sample_count = (
+            self._estimate_adaptive_samples() if self._is_adaptive else self._lattice.size
+        )
+        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared_scene.light_count)
+        return sample_count * seconds_per_hit * prepared_scene.depth_complexity
+
+    def _estimate_adaptive_samples(self) -> float:
+        """Estimate the mean number of samples in a pixel of an adaptive picture."""
+        frame = self.prepared_scene.frame
+        silhouette_pairs = self.prepared_scene.bounds.estimate_silhouette_pairs(frame)
+        pixel_count = frame.width * frame.height
+        edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_pairs
+        samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
+        max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
+        return _ADAPTIVE_SAMPLES + min(edges_per_pixel * samples_per_edge, max_samples)
 
     def choose_thread_count(self, max_threads: SupportsIndex | None) -> int:
         """Choose how many threads render the picture: see the argument `threads` of `render`."""
@@ -413,8 +457,7 @@ class RenderJob:
 
         Tiles that workers share may be smaller, so that each processor gets several.
         """
-        # Without objects, the estimate for a pixel is 0, and any positive number does.
-        pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
+        pixels_per_second = 1 / max(self._seconds_per_pixel, _MIN_SECONDS_PER_PIXEL)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         max_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
         divisor = 1
@@ -428,19 +471,20 @@ class RenderJob:
         return list(product(row_ranges, _divide_range(columns, max(1, int(max_pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make pickle store only the job's arguments, not the prepared scene."""
-        return _unpickle_job, (self.pickled_arguments,)
+        return _unpickle_job, (self._pickled_arguments,)
 
     @cached_property
-    def pickled_arguments(self) -> bytes:
-        """The pickled arguments, which identify the job in any process."""
+    def _pickled_arguments(self) -> bytes:
         return pickle.dumps(self._arguments)
 
-    def encode_tile(self, rectangle: Rectangle, encode: Callable[..., Any]) -> EncodedTile:
+    def encode_tile(self, rectangle: Rectangle, encode: TileEncoder) -> EncodedTile:
         """Render and encode a tile."""
         radiance = self.render_tile(rectangle)
-        data = encode(radiance, is_leftmost=rectangle[1].start == self.rectangle[1].start)
-        return EncodedTile(data=data, exposure=Exposure.from_radiance(radiance))
+        is_leftmost = rectangle[1].start == self.rectangle[1].start
+        return EncodedTile(
+            data=encode(radiance, is_leftmost=is_leftmost),
+            exposure=Exposure.from_radiance(radiance),
+        )
 
     @_IGNORE_FLOAT_ERRORS
     def render_tile(
@@ -452,32 +496,33 @@ class RenderJob:
         black pixels are never written.
         """
         keep_freed_memory()
-        scene, (rows, columns) = self.prepared_scene, rectangle
-        row_count, column_count = rows.stop - rows.start, columns.stop - columns.start
+        prepared_scene = self.prepared_scene
+        rows, columns = rectangle
+        row_count = rows.stop - rows.start
+        column_count = columns.stop - columns.start
         radiance = np.zeros((row_count, column_count, 3)) if out is None else out
         # Only pixels in the scene's window can show an object.
-        visible_rows, visible_columns = map(_intersect_ranges, rectangle, scene.window)
+        visible_rows, visible_columns = map(_intersect_ranges, rectangle, prepared_scene.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
         visible_radiance = radiance[_to_inner_range(visible_rows, rows)]
         if self._is_adaptive:
             visible_radiance[:, _to_inner_range(visible_columns, columns)] = average_pixels(
-                scene, visible_rows, visible_columns, self._samples_per_side
+                prepared_scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
         samples = self._lattice.place_in_pixels(visible_rows, columns)
         if self._lattice.size > 1:
-            sample_radiance = compute_radiance(scene, samples)
+            sample_radiance = compute_radiance(prepared_scene, samples)
             visible_radiance[:] = self._lattice.average(sample_radiance, column_count)
         else:
             # The reshaped array is a view, because a tile is whole rows or a part of one row.
-            compute_radiance(scene, samples, out=visible_radiance.reshape(-1, 3).T)
+            compute_radiance(prepared_scene, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
 
 @lru_cache(_MAX_CACHED_JOBS)
 def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
-    """Return the job with these arguments, from the cache of this process if possible."""
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
