@@ -205,20 +205,19 @@ def _shade_and_find_edges(
     min_squared_distance = (footprint_radius / _MAX_FOOTPRINT) ** 2
     has_wide_footprint = np.any(geometry.squared_distance < min_squared_distance, axis=0)
     search_radius = np.where(has_wide_footprint, 0, footprint_radius)
-    is_blocked, shadow_edges, is_crowded = find_shadow_edges(
-        hits, lights, faces_light, search_radius
-    )
-    shading.add(geometry, faces_light & ~is_blocked)
+    shadow_edges = find_shadow_edges(hits, lights, faces_light, search_radius)
+    shading.add(geometry, faces_light & ~shadow_edges.is_blocked)
     terminators = surfaces.find_terminators(geometry)
-    edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges), terminators)
+    shadow_edge_values = surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges.edges)
+    edges = chain(shadow_edge_values, terminators)
     lines, curved_cell_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint_radius)
     highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
-    unsearched_index = hit_cell_index[has_wide_footprint | is_crowded]
+    unsearched_index = hit_cell_index[has_wide_footprint | shadow_edges.is_crowded]
     return _LightEdges(
         lines=lines,
         unresolved_index=np.concatenate([unsearched_index, curved_cell_index, *highlight_indices]),
-        crowded_index=hit_cell_index[is_crowded],
+        crowded_index=hit_cell_index[shadow_edges.is_crowded],
     )
 
 
@@ -231,5 +230,11 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
         ray_x = frame.to_ray_x(cells.center_x[cell_index])
         ray_y = frame.to_ray_y(cells.center_y[cell_index])
         ray = compute_rays(frame, ray_x, ray_y, cells.width)
-        candidates = np.array([np.zeros_like(cell_index), cell_index, object_index])
-        yield from evaluate_silhouettes(scene, frame.eye[None], candidates, ray)
+        yield from evaluate_silhouettes(
+            scene,
+            frame.eye[None],
+            ray,
+            viewpoint_index=np.zeros_like(cell_index),
+            cell_index=cell_index,
+            object_index=object_index,
+        )

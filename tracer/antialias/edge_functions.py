@@ -186,12 +186,11 @@ class _Quadratics(NamedTuple):
         """Find x and y of the zero nearest to the centre, on the line along g through the centre.
 
         A zero outside the cell is replaced by the point at which the line leaves the cell.
-
         `h_gradient` is the second derivative along g.
         """
         # At the point s g, with G = |g|^2 and the second derivative h, f is c + G s + G h s^2 / 2.
-        # The zero nearest to s = 0 is s = -2 c / (G + root), where root^2 = G^2 - 2 c G h.  Unlike
-        # (root - G) / (G h), this form is exact to rounding for h = 0, too.
+        # The zero nearest to s = 0 is s = -2 c / (G + root), where root^2 = G^2 - 2 c G h.  The
+        # usual form, (root - G) / (G h), fails if h is 0 and is inexact if h is small.
         squared_gradient = self.a * self.a + self.b * self.b
         discriminant = squared_gradient * (squared_gradient - 2 * self.c * h_gradient)
         # If it is negative, f has no zero on the line.  Its absolute value then gives some finite

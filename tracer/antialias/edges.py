@@ -48,7 +48,8 @@ def compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n"
 
     The cells are `cell_width` pixels wide.
     """
-    cell_angle, distance = _compute_cell_angle(hits.scene.frame, cell_width), hits.distance
+    cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
+    distance = hits.distance
     footprint_radius = np.empty(distance.size)
     for group in hits.groups:
         cell_radius = hits.from_eye[2][group.interval] * cell_angle
@@ -81,60 +82,88 @@ def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) ->
     Objects are convex, so one that covers the top and bottom edges of a pixel covers the whole
     pixel.  All other pixels that it overlaps may contain part of its silhouette.
     """
-    row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
-    # For each interval of pixels: its row, its object, its first column, and the column after it.
-    intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
-    bounds, column_limits = scene.bounds, (columns.start, columns.stop)
-    for shape in scene.shapes:
-        spans = find_object_spans(shape, scene, row_edge_y[:-1], column_limits, height=1.0)
-        object_index, row, left, right = spans
-        # Find the x coordinates at which the object covers the top and bottom edges of the row.
-        covered_left, covered_right = left, right
-        top_y, bottom_y = row_edge_y[row], row_edge_y[row + 1]
-        for y in (top_y, bottom_y):
-            left_on_edge, right_on_edge = shape.find_x_range(object_index, y, 0.0)
-            covered_left = np.maximum(covered_left, left_on_edge)
-            covered_right = np.minimum(covered_right, right_on_edge)
-        covers_row = (bounds.top[object_index] < top_y) & (bounds.bottom[object_index] > bottom_y)
-        covers_row &= covered_left < covered_right
-        overlap_start, overlap_stop = np.floor(left), np.floor(right) + 1
-        # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
-        covered_start = np.where(covers_row, np.ceil(covered_left), overlap_stop)
-        covered_stop = np.where(covers_row, np.floor(covered_right), overlap_stop)
-        covered_start = covered_start.clip(overlap_start, overlap_stop)
-        covered_stop = covered_stop.clip(covered_start, overlap_stop)
-        intervals.append((row, object_index, overlap_start, covered_start))
-        intervals.append((row, object_index, covered_stop, overlap_stop))
-    interval_row, interval_object, *column_ends = map(np.concatenate, zip(*intervals, strict=True))
-    start_column, stop_column = (x.clip(*column_limits).astype(np.intp) for x in column_ends)
+    interval_sets = [
+        intervals
+        for shape in scene.shapes
+        for intervals in _find_partly_covered(shape, scene, rows, columns)
+    ]
+    intervals = _PixelIntervals._make(map(np.concatenate, zip(*interval_sets, strict=True)))
+    start_column = intervals.start.clip(columns.start, columns.stop).astype(np.intp)
+    stop_column = intervals.stop.clip(columns.start, columns.stop).astype(np.intp)
     interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
     return PixelObjects(
-        row=interval_row[interval_index] + rows.start,
+        row=intervals.row[interval_index] + rows.start,
         column=column,
-        object_index=interval_object[interval_index],
+        object_index=intervals.object_index[interval_index],
+    )
+
+
+class _PixelIntervals(NamedTuple):
+    """Ranges of pixels in a row, each paired with an object; they may be empty."""
+
+    row: Shaped[Ints, "n"]  # index among the given rows
+    object_index: Shaped[Ints, "n"]
+    # The first column, and the column after the last one; they may be outside the picture.
+    start: Shaped[Floats, "n"]
+    stop: Shaped[Floats, "n"]
+
+
+def _find_partly_covered(
+    shape: Shape, scene: PreparedScene, rows: slice, columns: slice
+) -> tuple[_PixelIntervals, _PixelIntervals]:
+    """Find the pixels of each row that objects cover in part: the left ones, and the right ones."""
+    row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
+    column_limits = (columns.start, columns.stop)
+    spans = find_object_spans(shape, scene, row_edge_y[:-1], column_limits, height=1.0)
+    object_index = spans.object_index
+    # Find the x coordinates at which the object covers the top and bottom edges of the row.
+    covered_left = spans.left
+    covered_right = spans.right
+    top_y = row_edge_y[spans.row]
+    bottom_y = row_edge_y[spans.row + 1]
+    for y in (top_y, bottom_y):
+        left_on_edge, right_on_edge = shape.find_x_range(object_index, y, 0.0)
+        covered_left = np.maximum(covered_left, left_on_edge)
+        covered_right = np.minimum(covered_right, right_on_edge)
+    bounds = scene.bounds
+    covers_row = (bounds.top[object_index] < top_y) & (bounds.bottom[object_index] > bottom_y)
+    covers_row &= covered_left < covered_right
+    overlap_start = np.floor(spans.left)
+    overlap_stop = np.floor(spans.right) + 1
+    # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
+    covered_start = np.where(covers_row, np.ceil(covered_left), overlap_stop)
+    covered_stop = np.where(covers_row, np.floor(covered_right), overlap_stop)
+    covered_start = covered_start.clip(overlap_start, overlap_stop)
+    covered_stop = covered_stop.clip(covered_start, overlap_stop)
+    return (
+        _PixelIntervals(
+            row=spans.row, object_index=object_index, start=overlap_start, stop=covered_start
+        ),
+        _PixelIntervals(
+            row=spans.row, object_index=object_index, start=covered_stop, stop=overlap_stop
+        ),
     )
 
 
 def evaluate_silhouettes(
     scene: PreparedScene,
     viewpoint: Shaped[Floats, "viewpoints 3"],
-    candidates: Shaped[Ints, "3 n"],
     ray: Shaped[Triple, "#6 n"],
+    *,
+    viewpoint_index: Shaped[Ints, "n"],
+    cell_index: Shaped[Ints, "n"],
+    object_index: Shaped[Ints, "n"],
 ) -> Iterator[EdgeValues]:
-    """Yield the edges of silhouettes that may cross cells.
+    """Yield the edges of silhouettes that may cross cells, from pairs of a cell and an object.
 
     Parameters
     ----------
     viewpoint
         Positions of the eye or of lights, in scene axes.
-    candidates
-        Row 0 contains viewpoint indices, row 1 cell indices, and row 2 indices of the objects whose
-        silhouettes may cross the cells.
     ray
         Directions from the viewpoint to the visible surface at six points of each cell (see
         `compute_rays`), in camera axes.
     """
-    viewpoint_index, cell_index, object_index = candidates
     for shape in scene.shapes:
         column = find(shape.objects.contains(object_index))
         if column.size:
@@ -143,7 +172,7 @@ def evaluate_silhouettes(
                 viewpoint.T[:, viewpoint_index[column]],
                 take_columns(ray, column),
             )
-            yield EdgeValues(cell_index[column[edges.item_index]], edges.values)
+            yield EdgeValues(cell_index=cell_index[column[edges.item_index]], values=edges.values)
 
 
 class CellSurfaces(NamedTuple):
@@ -166,7 +195,8 @@ class CellSurfaces(NamedTuple):
         The second result is 1 / t for each ray, where t * ray is the vector from the eye to the
         face, extended beyond its rim.
         """
-        frame, (x, y, z) = self.hits.scene.frame, take(self.hits.from_eye, hit_index)
+        frame = self.hits.scene.frame
+        x, y, z = take(self.hits.from_eye, hit_index)
         depth_ratio = frame.depth / z
         ray = compute_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
         return ray, self.faces.take(hit_index).compute_inverse_t(ray)
@@ -189,7 +219,9 @@ class CellSurfaces(NamedTuple):
             hit_index = visible_hit_index[hidden_index]
             ray, inverse_t = self.trace_rays(hit_index)
             hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
-            yield EdgeValues(self.cell_index[hit_index], inverse_t - hidden_inverse_t)
+            yield EdgeValues(
+                cell_index=self.cell_index[hit_index], values=inverse_t - hidden_inverse_t
+            )
         yield from self._find_face_intersections(hidden_hits, visible_hit_index, is_close)
 
     def _find_face_intersections(
@@ -212,14 +244,16 @@ class CellSurfaces(NamedTuple):
             object.
         """
         cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
-        hidden_object, hidden_distance = hidden_hits.hit_object, hidden_hits.distance
+        hidden_object = hidden_hits.hit_object
+        hidden_distance = hidden_hits.distance
         is_candidate = is_close | hidden_hits.scene.is_eye_inside[hidden_object]
         visible_distance = self.hits.distance
         for group in hidden_hits.groups:
             if not group.shape.has_planar_faces:
                 continue
             hidden_index = group.interval.start + find(is_candidate[group.interval])
-            object_index, hit_index = hidden_object[hidden_index], visible_hit_index[hidden_index]
+            object_index = hidden_object[hidden_index]
+            hit_index = visible_hit_index[hidden_index]
             to_hit = take(hidden_hits.from_eye, hidden_index)
             distance = hidden_distance[hidden_index]
             faces = group.shape.intersect_other_faces(object_index, to_hit, cell_angle)
@@ -264,7 +298,10 @@ class CellSurfaces(NamedTuple):
         for batch in split_indices(np.arange(hit_index.size)):
             ray, surface_inverse_t = self.trace_rays(hit_index[batch])
             face_inverse_t = shape.compute_inverse_t(face_code, object_index[batch], ray)
-            yield EdgeValues(self.cell_index[hit_index[batch]], surface_inverse_t - face_inverse_t)
+            yield EdgeValues(
+                cell_index=self.cell_index[hit_index[batch]],
+                values=surface_inverse_t - face_inverse_t,
+            )
 
     def evaluate_shadow_edges(
         self,
@@ -285,8 +322,14 @@ class CellSurfaces(NamedTuple):
             # matters, so it is divided by t.
             light_over_t = scale(take(light_from_eye, light_index), inverse_t)
             ray_from_light = map_xyz(np.subtract, ray, light_over_t)
-            candidates = np.array([light_index, self.cell_index[hit_index], occluder_index])
-            yield from evaluate_silhouettes(scene, light_position, candidates, ray_from_light)
+            yield from evaluate_silhouettes(
+                scene,
+                light_position,
+                ray_from_light,
+                viewpoint_index=light_index,
+                cell_index=self.cell_index[hit_index],
+                object_index=occluder_index,
+            )
 
     def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
         """Yield an edge for each terminator that may cross a cell.
@@ -317,4 +360,4 @@ class CellSurfaces(NamedTuple):
                 to_light = map_xyz(np.subtract, light_over_t, ray)
                 length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
                 cosine = dot(normal, to_light) / length_product
-                yield EdgeValues(self.cell_index[hit_index], cosine)
+                yield EdgeValues(cell_index=self.cell_index[hit_index], values=cosine)

@@ -19,7 +19,7 @@ cell is computed:
    `is_supersampling_cheaper`.
 
 How a cell that edges cross is refined depends on the number n of samples that are requested along
-each of its sides, and on whether it is a pixel or a part of one (`_choose_lattices`).  A cell goes
+each of its sides, and on whether it is a pixel or a part of one (see `_choose_steps`).  A cell goes
 on to the second step unless the samples of the first step show that no edge was missed:
 
 ==============  =======================================  ===========================
@@ -120,21 +120,23 @@ def average_pixels(
     samples in each pixel; `grid_side` is at least 2.
     """
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
-    first_row, first_column = rows.start - 1, columns.start - 1
+    first_row = rows.start - 1
+    first_column = columns.start - 1
     bordered_columns = slice(first_column, columns.stop + 1)
     samples = PIXEL_CENTERS.place_in_pixels(slice(first_row, rows.stop + 1), bordered_columns)
-    height, width = samples.y.size, samples.x.size
+    height = samples.y.size
+    width = samples.x.size
     pixel_index = np.arange(samples.size)
     center_x, center_y = samples.get_positions(pixel_index)
-    pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
+    pairs = find_silhouette_pixels(scene, rows, columns)
     pixels = Cells(
         width=1.0,
         samples_per_side=grid_side,
         tolerance=_TOLERANCE / grid_side**1.5,
         center_x=center_x,
         center_y=center_y,
-        pair_cell_index=(pair_row - first_row) * width + pair_column - first_column,
-        pair_object_index=pair_object,
+        pair_cell_index=(pairs.row - first_row) * width + pairs.column - first_column,
+        pair_object_index=pairs.object_index,
     )
     classification = classify_cells(scene, pixels, samples, pixel_index)
     estimate = estimate_pixel_means(classification.center_samples, width)
@@ -160,11 +162,13 @@ def _compute_cell_means(
     A cell without edges keeps its estimated mean if the estimated error is within the tolerance.
     So do all cells that are not refinable.
     """
-    cells, cell_mean = classification.cells, estimate.radiance.copy()
+    cells = classification.cells
+    cell_mean = estimate.radiance.copy()
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
     has_lines[classification.lines.cell_index] = True
     # If the error is unknown (NaN), both are False.
-    is_accurate, is_inaccurate = estimate.error <= cells.tolerance, estimate.error > cells.tolerance
+    is_accurate = estimate.error <= cells.tolerance
+    is_inaccurate = estimate.error > cells.tolerance
     is_pending = is_refinable & (has_lines | classification.is_unresolved | ~is_accurate)
     steps = _choose_steps(cells)
     if steps.first_lattice is not None:
@@ -211,8 +215,11 @@ def _sample_cells(
 
     Lines divide a cell into regions, and the samples in a region are weighted by its area.
     """
-    cells, lines, cell_count = classification.cells, classification.lines, cell_index.size
-    cell_mean, misses_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
+    cells = classification.cells
+    lines = classification.lines
+    cell_count = cell_index.size
+    cell_mean = np.empty((3, cell_count))
+    misses_edge = np.zeros(cell_count, dtype=np.bool_)
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
@@ -221,7 +228,8 @@ def _sample_cells(
         points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
         x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
         samples, order = Scattered.from_positions(x, y)
-        local_index, weight = points.cell_index[order], points.weight[order]
+        local_index = points.cell_index[order]
+        weight = points.weight[order]
         radiance, sample_id = compute_radiance_and_visibility(scene, samples)
         for channel_mean, channel_radiance in zip(cell_mean, radiance, strict=True):
             channel_mean[batch] = np.bincount(local_index, weight * channel_radiance, batch.size)
