@@ -155,6 +155,9 @@ def test_tolerances(tmp_path: Path, compare: Compare) -> None:
     statuses = {"--max 0.2": 0, "--max 1e-4": 1, "--ssim 0.9": 0, "--ssim 0.9 --max 1e-4": 1}
     for tolerances, status in (statuses | {"": 1, "--max -1": 2}).items():
         assert compare(a, SCENE, *tolerances.split())[0] == status, tolerances
+    # A difference of exactly the tolerance is permitted.
+    right = save(tmp_path / "b.png", CODES)
+    assert compare(right, SCENE, "--max", "0", "--ssim", "1")[0] == 0
 
 
 def test_a_single_comparison_shows_a_progress_bar(
