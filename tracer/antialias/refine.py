@@ -101,7 +101,7 @@ def _choose_steps(cells: Cells) -> _Steps:
         # Without the first step, the time is 1.1 times as long.
         return _Steps(first_lattice=Lattice(1, 25))
     if cells.width == 1:
-        # Without the first step, errors are up to 1.7 times as large.
+        # Without the first step, boxes take up to 1.1 times as long.
         grid_lattice = Lattice.choose(cells.samples_per_side)
         return _Steps(first_lattice=Lattice(1, 5), second_lattice=grid_lattice)
     # Without the first step, such cells take 1.6 to 2.2 times as long.  Without the second step,
