@@ -30,6 +30,7 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event
+from typing import Annotated as Shaped
 
 import numpy as np
 
@@ -90,12 +91,8 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     The options have two more attributes: `is_class` is True if the first argument is a folder, and
     `folder` is that folder, or the folder of the single picture.
 
-    Raises
-    ------
-    SystemExit
-        If the arguments are wrong; a message is printed, and the exit status is 2.
-    Failure
-        If a file does not exist, or the class list cannot be read.
+    If the arguments are wrong, print a message and exit with status 2.  Raise Failure if a file
+    does not exist, or if the class list cannot be read.
     """
     command_parser = make_parser("reference.compare")
     add_argument, report_error = command_parser.add_argument, command_parser.error
@@ -250,10 +247,7 @@ def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, st
 def _load_reference(path: Path) -> Reference:
     """Load a picture or a scene file; the most recent one is cached.
 
-    Raises
-    ------
-    Failure
-        If the file cannot be read, or is not a valid scene.
+    Raise Failure if the file cannot be read, or is not a valid scene.
     """
     if path.suffix.lower() != ".xml":
         return Reference(read_picture(path))
@@ -262,7 +256,7 @@ def _load_reference(path: Path) -> Reference:
 
 
 @lru_cache(maxsize=1)
-def _load_all_codes(folder: Path) -> dict[str, Codes]:
+def _load_all_codes(folder: Path) -> dict[str, Shaped[Codes, "height width 3"]]:
     """Render all scenes of a folder, and read its reference pictures: codes by file name.
 
     What cannot be read is left out: its own hand-ins get the error.
@@ -302,12 +296,8 @@ def _compare_files(
 ) -> tuple[Result, Pair | None]:
     """Complete a result: compare its pictures, and draw both side by side if requested.
 
-    If a whole class is compared, only pictures that do not agree are drawn.
-
-    Raises
-    ------
-    Failure
-        If a file cannot be read or written.
+    If a whole class is compared, only pictures that do not agree are drawn.  Raise Failure if a
+    file cannot be read or written.
     """
     picture, reference = read_picture(picture_path), _load_reference(reference_path)
     diagnosis = reference.diagnose(picture)
@@ -329,10 +319,13 @@ def _compare_files(
             options.ssim is None or ssim >= options.ssim
         )
     result = result._replace(
-        agrees=agrees, ssim=ssim, rmse=rmse, max=max_difference,
+        agrees=agrees,
+        ssim=ssim,
+        rmse=rmse,
+        max=max_difference,
         differing=int((picture.codes != reference.codes).any(axis=2).sum()),
         worst=find_worst_pixel(picture.codes, reference.codes),
-    )  # fmt: skip
+    )
     pair = make_pair(result, picture.codes, reference.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
         output_path = _choose_comparison_path(options, picture_path)

@@ -130,7 +130,8 @@ def compare_codes(
 
     Large pictures are compared in bands, with the same result.
     """
-    (height, width, _), window_margin = codes_a.shape, _SSIM_SIDE - 1
+    height, width, _ = codes_a.shape
+    window_margin = _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
     # Number of positions of an SSIM window along a column of pixels.
     top_row_count = max(1, height - window_margin)
@@ -176,7 +177,8 @@ def write_comparison(
     panel_width = max(zoom * width, _MIN_PANEL_SIDE)  # wide enough for a title
     picture_top = _MARGIN + _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, picture_top + zoom * height + _LABEL_HEIGHT + _MARGIN
-    sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
+    sheet = Image.new("RGB", size, _PAPER_COLOR)
+    font = ImageFont.load_default(size=_FONT_SIZE)
     band_height = max(1, _PIXELS_PER_BAND // width)
     panels = zip((*images, difference_codes), panel_titles, legends, strict=True)
     for panel_index, (codes, title, legend) in enumerate(panels):
@@ -212,15 +214,15 @@ def amplify_difference(
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
     max_shown_difference = float(np.percentile(np.abs(difference), _PERCENTILE))
+    # If fewer pixels than those above the percentile differ, show the largest difference.
     max_shown_difference = max_shown_difference or float(np.abs(difference).max())
     if max_shown_difference == 0:
         return codes, 0.0
     power_of_ten = float(10.0 ** np.floor(np.log10(1 / max_shown_difference)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
     gain = max(gain for gain in gains if gain * max_shown_difference <= 1)
-    brighter_color, darker_color = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
-        np.float32
-    )
+    colors = 255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])
+    brighter_color, darker_color = colors.astype(np.float32)
     for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
         intensity = np.clip(gain * row, -1, 1)[:, None]
         row_codes[:] = np.round(np.maximum(intensity * brighter_color, -intensity * darker_color))

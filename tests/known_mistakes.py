@@ -1,5 +1,7 @@
 """Pictures with the mistakes that `reference/handins/mistakes.md` describes."""
 
+from typing import Annotated as Shaped
+
 import numpy as np
 
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
@@ -9,30 +11,14 @@ from tracer import Scene
 
 
 @np.errstate(all="ignore")
-def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -> Array:
-    """Render a scene as a tracer with the given mistakes would.
+def render_with_mistakes(
+    scene: Scene, *keywords: str, formula: str = "codes"
+) -> Shaped[Array, "height width 3"]:
+    """Evaluate a formula at each pixel of a scene, as a tracer with the given mistakes would.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    *keywords : str
-        Keywords of the mistakes, such as "gamma-none", as in `list_mistakes(scene)`.  Without
-        keywords, the reference picture is rendered.
-    formula : str
-        Name of the formula to evaluate, such as "radiance"; by default, the 8-bit codes.
-
-    Returns
-    -------
-    (h, w, 3) array
-        The values of the formula at each pixel, with 0 in place of NaN.
-
-    Raises
-    ------
-    KeyError
-        If a keyword is unknown.
-    ValueError
-        If two mistakes replace the same formula, and so exclude each other.
+    The keywords are those of `list_mistakes(scene)`; without any, the formula is that of the
+    reference picture.  NaN is replaced with 0.  Raise KeyError if a keyword is unknown, and
+    ValueError if two mistakes replace the same formula, and so exclude each other.
     """
     mistakes, pixel_count = list_mistakes(scene), scene.width * scene.height
     replacements = join_formulas([mistakes[keyword].formulas for keyword in keywords])

@@ -8,9 +8,13 @@ code.
 
 import re
 from pathlib import Path
+from typing import Annotated as Shaped
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from reference.pictures import Codes
 from tracer import Box, Phong, Scene, Sphere
 
 SOURCE = """
@@ -120,24 +124,15 @@ MISTAKES = {
 }
 
 
-def srgb(x):
+def srgb(x: Shaped[NDArray[Any], "..."]) -> Shaped[NDArray[Any], "..."]:
     """Return the sRGB codes, between 0 and 1, of linear values `x` between 0 and 1."""
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def source_with(*kinds: str) -> str | None:
-    """Return the source code of the student's tracer with mistakes.
+    """Return a copy of `SOURCE` with mistakes, which are keys of `MISTAKES`.
 
-    Parameters
-    ----------
-    *kinds : str
-        The mistakes, as keys of `MISTAKES`.
-
-    Returns
-    -------
-    source : str or None
-        A copy of `SOURCE` with all replacements of these mistakes.  It is None if two mistakes
-        change the same place, so that one of them cannot be made.
+    None if two of them change the same place, so that one of them cannot be made.
     """
     source = SOURCE
     for kind in kinds:
@@ -149,42 +144,25 @@ def source_with(*kinds: str) -> str | None:
 
 
 @np.errstate(all="ignore")
-def render_with_source(source: str, scene: Scene):
-    """Render a scene with the source code of a tracer.
+def render_with_source(source: str, scene: Scene) -> Shaped[Codes, "height width 3"]:
+    """Render a scene with source code such as `SOURCE`, and return the 8-bit codes.
 
-    Parameters
-    ----------
-    source : str
-        Source code such as `SOURCE`.  Words in capital letters are replaced as in `NAMES`.
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    codes : (height, width, 3) uint8 array
-        The picture, gamma-encoded.
+    Words in capital letters are replaced as in `NAMES`.
     """
     for name, code in NAMES.items():
         source = source.replace(name, code)
-    variables = {"np": np, "Box": Box, "Sphere": Sphere, "Phong": Phong, "srgb": srgb}
+    variables: dict[str, Any] = {
+        "np": np,
+        "Box": Box,
+        "Sphere": Sphere,
+        "Phong": Phong,
+        "srgb": srgb,
+    }
     exec(source, variables)
     return np.ascontiguousarray(variables["encode"](variables["picture"](scene)))
 
 
-def render_mistakes(scene: Scene, *kinds: str):
-    """Render a scene with the student's tracer, into which mistakes are inserted.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    *kinds : str
-        The mistakes, as keys of `MISTAKES`.
-
-    Returns
-    -------
-    codes : (height, width, 3) uint8 array, or None
-        The picture, gamma-encoded.  It is None if two mistakes change the same place of the source.
-    """
+def render_mistakes(scene: Scene, *kinds: str) -> Shaped[Codes, "height width 3"] | None:
+    """Render a scene with the student's tracer and mistakes; None if `source_with` gives None."""
     source = source_with(*kinds)
     return None if source is None else render_with_source(source, scene)

@@ -159,10 +159,14 @@ class Reference:
         if symptom := symptoms.find_reference_within(picture.codes, self.codes):
             return make_verdict(*symptom).prepend_text(size_sentence)
         if (width, height) == reference_size:
-            upright_codes = {keyword: turn_back(picture.codes)
-                             for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()}  # fmt: skip
-            differences = {keyword: compare_levels(codes, self.codes, axis=2).sum()
-                           for keyword, codes in upright_codes.items()}  # fmt: skip
+            upright_codes = {
+                keyword: turn_back(picture.codes)
+                for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()
+            }
+            differences = {
+                keyword: compare_levels(codes, self.codes, axis=2).sum()
+                for keyword, codes in upright_codes.items()
+            }
             keyword = min(differences, key=differences.__getitem__)
             codes = np.ascontiguousarray(upright_codes[keyword])
             diagnosis = self._diagnose_pixels(picture._replace(codes=codes))
@@ -238,13 +242,13 @@ class Reference:
         to shine.  If the scene is unknown, they name only the worst pixel.
         """
         renderer = submission.renderer
-        both_codes = submission.codes, renderer.reference_codes
         width, height = renderer.width, renderer.pixel_count // renderer.width
-        differences = compare_levels(*both_codes)
+        differences = compare_levels(submission.codes, renderer.reference_codes)
         is_wrong = differences > 1
-        y, x = divmod(int(differences.argmax()), width)
-        submitted_text, reference_text = (" ".join(map(str, codes[:, differences.argmax()]))
-                                          for codes in both_codes)  # fmt: skip
+        worst_index = int(differences.argmax())
+        y, x = divmod(worst_index, width)
+        submitted_text = " ".join(map(str, submission.codes[:, worst_index]))
+        reference_text = " ".join(map(str, renderer.reference_codes[:, worst_index]))
         pixel_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
         count_text = symptoms.format_count(is_wrong.sum())
         if not self.scene:

@@ -1,14 +1,19 @@
 """Render a scene with mistakes: formulas of the reference picture, some of which are replaced.
 
+A picture is defined by *formulas* (functions for values such as the radiance), and a mistake by the
+formulas that it replaces, its *replacements* (see `mistakes.md`).
+
 The problem is speed: tens of thousands of combinations of mistakes are rendered, and most of them
 share most of their formulas.  `FormulaCache` therefore computes each combination of formulas once
-for a set of pixels.  The formulas themselves are in `mistakes.md`.
+for a set of pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import product
+from typing import Annotated as Shaped
 from typing import Any
 
 import numpy as np
@@ -20,25 +25,18 @@ from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
-# Maximum size of the cached values and recipes in bytes, in addition to those of the reference
-# picture; and approximate size of a recipe.
-_MAX_CACHED_BYTES, _BYTES_PER_RECIPE = 60_000_000, 500
+# Maximum size of the cached values and recipes in bytes, without those of the reference picture.
+_MAX_CACHED_BYTES = 60_000_000
+# Approximate size of a recipe.
+_BYTES_PER_RECIPE = 500
 
 
-def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
-    """Convert a scene to the arrays from which formulas compute its picture.
+def make_formula_inputs(source: Scene | Shaped[Codes, "height width 3"]) -> dict[str, Any]:
+    """Convert a scene to the arrays and numbers from which formulas compute its picture, by name.
 
-    Parameters
-    ----------
-    source : Scene or (h, w, 3) uint8 array
-        A scene; or, if there is no scene, the 8-bit codes of the reference picture.
-
-    Returns
-    -------
-    dict of str to array or float
-        The arrays by name, such as "view_dir" (3,), "center" (3, surfaces, 1), "diffuse"
-        (3, surfaces) and "position" (lights, 3, 1).  Without a scene, the only array is "picture"
-        (h, w, 3), the reference picture in linear light.
+    Examples are "view_dir" (3,), "center" (3, surfaces, 1), "diffuse" (3, surfaces) and "position"
+    (lights, 3, 1).  If there is no scene, the source is the reference picture, and the only array
+    is "picture" (height, width, 3), in linear light.
     """
     if not isinstance(source, Scene):
         light_by_code = decode_to_linear(np.arange(256)).astype(np.float32)
@@ -51,12 +49,13 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
     distinct_shaders = [*dict.fromkeys(shaders)]
     shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
 
-    def to_array(items: Sequence[Any], attribute: str, default: Any) -> Array:
+    def to_array(items: Sequence[Any], attribute: str, default: Any) -> Shaped[Array, "items ..."]:
         """Collect an attribute of all items; items that lack it get the default."""
         return np.array([getattr(item, attribute, default) for item in items])
 
-    def to_vectors(items: Sequence[Any], attribute: str, default: Any = (0.0, 0, 0)) -> Array:
-        """Collect a vector or colour from each item, as an array (3, items)."""
+    def to_vectors(
+        items: Sequence[Any], attribute: str, default: Any = (0.0, 0, 0)
+    ) -> Shaped[Array, "3 items"]:
         return to_array(items, attribute, default).reshape(-1, 3).T
 
     return {
@@ -81,19 +80,7 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
 
 @cache
 def _list_affected_formulas(replaced_names: tuple[str, ...]) -> tuple[str, ...]:
-    """List the formulas whose values change if certain formulas are replaced.
-
-    Parameters
-    ----------
-    replaced_names : tuple of str
-        Names of the replaced formulas.
-
-    Returns
-    -------
-    tuple of str
-        Names of the replaced formulas, and of all formulas that depend on them, in the order of
-        computation.
-    """
+    """List the replaced formulas and all that depend on them, in the order of computation."""
     affected_names = {*replaced_names}
     for name, formula in REFERENCE_FORMULAS.items():
         if not affected_names.isdisjoint(list_parameters(formula)):
@@ -104,24 +91,24 @@ def _list_affected_formulas(replaced_names: tuple[str, ...]) -> tuple[str, ...]:
 class FormulaCache:
     """A cache of formula values at some pixels, each computed when it is first requested.
 
-    A picture is defined by formulas (functions for values such as the radiance), and a mistake by
-    the formulas that it replaces.  Pictures with different mistakes share the values that are
-    computed in the same way.  A *recipe* tells how to compute a value: it is a tuple of a formula
-    and, for each argument, the index of the argument's recipe.
+    Pictures with different mistakes share the values that are computed in the same way.  A *recipe*
+    tells how to compute a value: it is a tuple of a formula and, for each argument, the index of
+    the argument's recipe.  The indices of inputs, which have no recipe, come first.
 
     Parameters
     ----------
-    inputs : dict of str to array or number
+    inputs
         The result of `make_formula_inputs`; the `width` and `height` of the picture in pixels; and,
         for the n pixels of the cache, their columns `i` (n,), their rows `j` (n,) and their codes
         in the submitted picture, `submitted_codes` (3, n).
-    fitting_cache : FormulaCache, optional
+    fitting_cache
         The cache whose pixels are used to compute values of the whole picture, such as its largest
         radiance.  By default, the pixels of this cache are used.
     """
 
     def __init__(self, inputs: dict[str, Any], fitting_cache: FormulaCache | None = None) -> None:
-        self._inputs, self._fitting_cache = inputs, fitting_cache
+        self._inputs = inputs
+        self._fitting_cache = fitting_cache
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
         self._recipes: list[Any] = [None] * len(inputs)
         self._cached_bytes = 0
@@ -131,21 +118,9 @@ class FormulaCache:
         self._reference_recipe_count = len(self._recipes)
 
     def _add_recipes(self, replacements: Formulas) -> dict[str, int]:
-        """Add the recipes of a picture's formulas to this cache, and look up their indices.
+        """Add the recipes of a picture's formulas, and return their indices by the formulas' names.
 
-        A recipe tells how to compute a value.  It consists of a formula and, for each argument, the
-        index of the argument's recipe.  Values that are computed in the same way share a recipe.
-
-        Parameters
-        ----------
-        replacements : dict of str to callable
-            The formulas, by name, that replace those of the reference picture.
-
-        Returns
-        -------
-        dict of str to int
-            The index of each formula's recipe, by the formula's name.  Formulas that cannot be
-            computed from the inputs of this cache are omitted.
+        Formulas that cannot be computed from the inputs of this cache are omitted.
         """
         index_by_name = self._reference_recipe_indices.copy()
         for name in _list_affected_formulas(tuple(replacements)):
@@ -166,62 +141,50 @@ class FormulaCache:
     def can_compute_codes(self, replacements: Formulas) -> bool:
         """Test whether the inputs of this cache suffice to compute a picture and its replacements.
 
-        Parameters
-        ----------
-        replacements : dict of str to callable
-            The formulas, by name, that replace those of the reference picture.
+        A replacement that the picture does not need must be computable, too.
         """
         return self._add_recipes(replacements).keys() >= {"codes", *replacements}
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
-        """Return the value of a formula for all n pixels of this cache.
+        """Return the value of a formula, such as "radiance" or "codes", for the n pixels.
 
-        Parameters
-        ----------
-        name : str
-            Name of the formula, such as "radiance", or "codes" for the 8-bit codes.
-        replacements : dict of str to callable
-            The formulas, by name, that replace those of the reference picture.
-
-        Returns
-        -------
-        array or number
-            An array whose last axis has length n; for the codes, (3, n).  A value that is the same
-            for all pixels is a number or an array of any shape.
-
-        Raises
-        ------
-        KeyError
-            If the formula cannot be computed from the inputs of this cache.
+        The result is an array whose last axis has length n; for the codes, it is (3, n).  A value
+        that is the same for all pixels is a number or an array of any shape.  Raise KeyError if the
+        inputs of this cache do not suffice.
         """
         if self._fitting_cache:
             for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & collect_parameters(replacements):
                 fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
                 replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
-        if "samples" in replacements:  # average the clipped radiance over the samples of a pixel
-            replacements = replacements.copy()
-            samples_per_side = replacements.pop("samples")()
-            positions = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
-            radiance_sum = sum(self.get_value("clipped", replacements | make_sample_formulas(x, y))
-                               for x in positions for y in positions)  # fmt: skip
-            replacements["clipped"] = _make_constant_function(radiance_sum / samples_per_side**2)
-        if self._cached_bytes > _MAX_CACHED_BYTES:  # keep only what the reference picture needs
-            del self._recipes[self._reference_recipe_count :]
-            self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
-            self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
-            self._cached_bytes = 0
+        if "samples" in replacements:
+            clipped = self._average_samples(replacements)
+            replacements = replacements | {"clipped": _make_constant_function(clipped)}
+            del replacements["samples"]
+        if self._cached_bytes > _MAX_CACHED_BYTES:
+            self._discard_mistakes()
         return self._evaluate_recipe(self._add_recipes(replacements)[name])
 
+    def _average_samples(self, replacements: Formulas) -> Shaped[Array, "3 n"]:
+        """Average the clipped radiance over a square grid of samples in each pixel."""
+        replacements = replacements.copy()
+        samples_per_side = replacements.pop("samples")()
+        distances = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
+        radiance_sum = sum(
+            self.get_value("clipped", replacements | make_sample_formulas(x, y))
+            for x, y in product(distances, distances)
+        )
+        mean_radiance: Array = radiance_sum / samples_per_side**2
+        return mean_radiance
+
+    def _discard_mistakes(self) -> None:
+        """Keep only the recipes and values that the reference picture needs."""
+        del self._recipes[self._reference_recipe_count :]
+        self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
+        self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
+        self._cached_bytes = 0
+
     def _evaluate_recipe(self, index: int) -> Any:
-        """Return the value of a recipe; compute and cache it if it is not yet in the cache.
-
-        A recipe consists of a formula and, for each argument, the index of the argument's recipe.
-
-        Parameters
-        ----------
-        index : int
-            Index of the recipe.
-        """
+        """Return the value of a recipe; compute and cache it if it is not yet in the cache."""
         if index not in self._values:
             formula, *argument_indices = self._recipes[index]
             values, evaluate = self._values, self._evaluate_recipe
@@ -233,23 +196,13 @@ class FormulaCache:
 
 
 def _make_constant_function(value: Any) -> Any:
-    """Return a function that takes no arguments and returns `value`."""
     return lambda: value
 
 
 def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
-    """Merge the formulas of several mistakes into one dictionary.
+    """Merge the replacements of several mistakes.
 
-    Parameters
-    ----------
-    formula_maps : sequence of dict of str to callable
-        For each mistake, the formulas, by name, that replace those of the reference picture.
-
-    Returns
-    -------
-    dict of str to callable
-        All formulas by name.  Empty if two mistakes replace the same formula, and so exclude each
-        other.
+    Empty if two mistakes replace the same formula, and so exclude each other.
     """
     joined_formulas = {name: formulas[name] for formulas in formula_maps for name in formulas}
     return joined_formulas if len(joined_formulas) == sum(map(len, formula_maps)) else {}

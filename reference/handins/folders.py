@@ -12,8 +12,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
-_ARCHIVES = (".zip", ".rar", ".7z", ".tar", ".tgz", ".gz")
+_PICTURE_SUFFIXES = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".bmp",
+    ".gif",
+    ".ppm",
+    ".tga",
+    ".tif",
+    ".tiff",
+    ".webp",
+)
+_ARCHIVE_SUFFIXES = (".zip", ".rar", ".7z", ".tar", ".tgz", ".gz")
 # What operating systems append to the name of a copy.
 _COPY_SUFFIX = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
 
@@ -35,9 +46,12 @@ def list_hand_ins(folder: Path) -> list[Path]:
     Hidden files and folders, `__MACOSX` folders (which macOS adds to archives) and comparisons
     written by an earlier run (`NAME.compare.png`) are skipped.
     """
-    return sorted(path for path in folder.rglob("*")
-                  if _is_input(path, _PICTURES + _ARCHIVES)
-                  and not any(map(_is_hidden, path.relative_to(folder).parts)))  # fmt: skip
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if _is_input(path, _PICTURE_SUFFIXES + _ARCHIVE_SUFFIXES)
+        and not any(map(_is_hidden, path.relative_to(folder).parts))
+    )
 
 
 def _is_hidden(name: str) -> bool:
@@ -133,7 +147,9 @@ def list_references(reference_path: Path) -> dict[str, Path]:
     if not reference_path.is_dir():
         return {_get_base_name(reference_path): reference_path}
     scenes = sorted(reference_path.glob("*.xml"))
-    pictures = [path for path in sorted(reference_path.iterdir()) if _is_input(path, _PICTURES)]
+    pictures = [
+        path for path in sorted(reference_path.iterdir()) if _is_input(path, _PICTURE_SUFFIXES)
+    ]
     computed_files = {path for path in pictures + scenes for scene in scenes
                       if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
     return {_get_base_name(path): path for path in pictures + scenes if path not in computed_files}
@@ -150,7 +166,7 @@ def _match_hand_in(
     """
     folders = picture.relative_to(class_path).parts[:-1]
     student = folders[0] if folders else ""
-    if _is_input(picture, _ARCHIVES):
+    if _is_input(picture, _ARCHIVE_SUFFIXES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
     name = _COPY_SUFFIX.sub("", _get_base_name(picture))
     # What stands for each scene in the name, as "Two Boxes" for "two-boxes".

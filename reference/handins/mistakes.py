@@ -1,8 +1,8 @@
 """Read the table of known mistakes from the page `mistakes.md`.
 
-The page defines the reference picture by formulas, and each mistake by the formulas that it
-replaces.  A formula is a Python expression for a value such as the radiance.  Reports name mistakes
-with the same picture in the order of the table.
+The page defines the reference picture by *formulas*, and each mistake by the formulas that it
+replaces.  A formula is a Python expression for a value such as the radiance; `Formulas` are
+compiled ones by name.  Reports name mistakes with the same picture in the order of the table.
 """
 
 from __future__ import annotations
@@ -19,8 +19,13 @@ VARIANTS = ("shadow-own", "shadow-own-lobe", "normals-not-turned")
 """Other correct ways to write a tracer, with which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
-ALWAYS_PAIRED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light",
-                 "light-none")  # fmt: skip
+ALWAYS_PAIRED = (
+    "wrapped",
+    "black-overexposed",
+    "normalised-per-pixel",
+    "clipped-per-light",
+    "light-none",
+)
 """Mistakes that are tried in all pairs, although alone they may give the picture of another.
 
 Most of them show only where the radiance exceeds 1, perhaps because of another mistake.  Without
@@ -31,32 +36,16 @@ ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
 
 
 class Mistake(NamedTuple):
-    """A mistake that a tracer may contain, as described by a row of the table of mistakes.
+    """A mistake that a tracer may contain, as described by a row of the table of mistakes."""
 
-    Attributes
-    ----------
-    sentence : str
-        A description of the mistake.  A placeholder such as ``{fitted_gamma}`` stands for the value
-        of a formula.
-    formulas : dict of str to callable
-        The formulas, by name, that replace those of the reference picture.
-    concerns_one_object : bool
-        True for mistakes such as a missing surface, which concern one surface or light.
-    """
-
+    # A placeholder such as ``{fitted_gamma}`` stands for the value of a formula.
     sentence: str
-    formulas: Formulas
-    concerns_one_object: bool = False
+    formulas: Formulas  # those that it replaces
+    concerns_one_object: bool = False  # true for a missing surface or light, for example
 
 
 def _read_table_rows() -> Iterator[list[str]]:
-    """Read the rows of all tables on the page `mistakes.md`, without their headings.
-
-    Yields
-    ------
-    list of str
-        The cells of a row, without the backticks around names and formulas.
-    """
+    """Yield the cells of each row of the page's tables, without headings and backticks."""
     for line in _PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| `"):
             yield [cell.strip(" `") for cell in line.strip("|").split("|")]
@@ -74,41 +63,19 @@ _MISTAKES = [row for row in _read_table_rows() if len(row) == 3]
 
 
 def parse_formulas(assignments: str) -> Formulas:
-    """Compile each of several assignments into a function.
+    """Compile assignments such as ``x = column / width; y = row / height``.
 
-    Parameters
-    ----------
-    assignments : str
-        Assignments of Python expressions, such as ``x = column / width; y = row / height``.
-
-    Returns
-    -------
-    dict of str to callable
-        For each name on the left, a function that computes the expression on the right.  The
-        function's parameters are the variables in the expression, in alphabetical order.
-
-    Raises
-    ------
-    SyntaxError
-        If an expression is not valid Python.
+    Raise SyntaxError if an expression is not valid Python.
     """
     names_and_expressions = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
     return {name: compile_formula(expression) for name, expression in names_and_expressions}
 
 
 def make_sample_formulas(dx: float, dy: float) -> Formulas:
-    """Make the formulas that place one sample at a given position in each pixel.
+    """Make the formulas "x" and "y" that place one sample at a given position in each pixel.
 
-    Parameters
-    ----------
-    dx, dy : float
-        Distances of the sample from the left and upper edges of its pixel, relative to the pixel's
-        width and height.
-
-    Returns
-    -------
-    dict of str to callable
-        The formulas "x" and "y", which compute the sample's position in the picture.
+    `dx` and `dy` are the sample's distances from the left and upper edges of the pixel, relative to
+    the pixel's width and height.
     """
     return parse_formulas(f"x = (column + {dx}) / width - 0.5; y = 0.5 - (row + {dy}) / height")
 
@@ -120,20 +87,11 @@ PICTURE_FORMULAS = parse_formulas(
 
 
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
-    """List the mistakes that a tracer may make when it renders a scene.
+    """List the mistakes that a tracer may make when it renders a scene, by keyword.
 
     A row of `_MISTAKES` with ``{surface}``, ``{light}`` or ``{face}`` in its sentence is repeated
-    for each surface, light or face of a box, whose index replaces ``{k}`` in the row.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    dict of str to Mistake
-        The mistakes by keyword, such as "gamma-none", in the order of the table.
+    for each surface, light or face of a box, whose index replaces ``{k}`` in the row.  The mistakes
+    are in the order of the table; a keyword is such as "gamma-none".
     """
     line_notes = [f" (line {light.line})" if light.line else "" for light in scene.lights]
     names_by_placeholder = {

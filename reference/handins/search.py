@@ -35,7 +35,7 @@ from reference.handins.renderer import (
     shuffle_range,
 )
 from reference.judges.arrays import Bools, Floats
-from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_picture
+from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_rows
 
 Reencode: TypeAlias = Callable[[Codes], Codes]
 
@@ -290,8 +290,11 @@ class Submission:
             if good_pairs and _LARGE_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
                 causes = good_pairs
         # A pair is preferred only if it leaves less than half as many pixels unexplained.
-        best_cause = min(causes[:1] or single_causes + pairs, default=(), key=lambda cause: (
-            (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
+        best_cause = min(
+            causes[:1] or single_causes + pairs,
+            default=(),
+            key=lambda cause: (1 + (cause in pairs)) * self._count_unexplained(cause),
+        )
         if causes:
             unexplained_count = self._count_unexplained_in_full(best_cause)
             if unexplained_count <= self._max_unexplained:
@@ -325,13 +328,19 @@ class Submission:
         items = [*rendered.causes_by_pair.items()]
         causes_by_pair = dict(items[index] for index in order[:_MAX_CAUSE_COUNT])
         if self.codes[:, renderer.surface_index < 0].any():
-            causes_by_pair |= {pair: (background, other) for other in groups
-                              if (pair := renderer.join_causes(background, other))}  # fmt: skip
+            causes_by_pair |= {
+                pair: (background, other)
+                for other in groups
+                if (pair := renderer.join_causes(background, other))
+            }
         best_pairs = self._rank_causes([*causes_by_pair])
         # The best pairs, and all pairs that give the same pictures; a dictionary has no duplicates.
-        pairs = {pair: None for best_pair in best_pairs
-                 for causes in product(*(groups[cause] for cause in causes_by_pair[best_pair]))
-                 if (pair := renderer.join_causes(*causes))}  # fmt: skip
+        pairs = {
+            pair: None
+            for best_pair in best_pairs
+            for causes in product(*(groups[cause] for cause in causes_by_pair[best_pair]))
+            if (pair := renderer.join_causes(*causes))
+        }
         # A variant may show only in a pair.
         pairs |= {varied: None for pair in best_pairs for varied in renderer.add_variants(pair)}
         return self._rank_causes([*pairs]) if len(pairs) > len(best_pairs) else best_pairs
@@ -354,8 +363,9 @@ class Submission:
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
         shown_index = renderer.evaluate([formulas], renderer.sample_index, name="shown_surface")[0]
-        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in (
-            shown_index, renderer.surface_index[renderer.sample_index]))  # fmt: skip
+        reference_index = renderer.surface_index[renderer.sample_index]
+        shown_count = len(np.unique(shown_index[shown_index >= 0]))
+        reference_count = len(np.unique(reference_index[reference_index >= 0]))
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:
@@ -389,9 +399,11 @@ class Submission:
         # Without a tolerance, rounding is found like other mistakes; lossy compression hides it.
         if not self.tolerance or self.format_noise:
             return causes
-        join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
-        candidates = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]
-                      for cause in causes]  # fmt: skip
+        join = self.renderer.join_causes
+        candidates = [
+            [cause, *filter(None, (join(cause, (rounding,)) for rounding in mistakes.ROUNDINGS))]
+            for cause in causes
+        ]
         self._cache_counts([*chain(*candidates)])
         chosen_causes = list[Cause]()
         for cause, cause_candidates in zip(causes, candidates, strict=True):
@@ -405,4 +417,4 @@ def _apply_losses(
     reencode: Reencode | None, codes: Shaped[Codes, "3 k"], width: int
 ) -> Shaped[Codes, "3 k"]:
     """Alter the codes of a picture as a file format does, if it has a function for it."""
-    return to_columns(reencode(to_picture(codes, width))) if reencode else codes
+    return to_columns(reencode(to_rows(codes, width))) if reencode else codes

@@ -21,14 +21,17 @@ from reference.handins.mistakes import make_sample_formulas, parse_formulas
 from reference.handins.renderer import MAX_PIXELS, MistakeRenderer
 from reference.handins.search import Submission
 from reference.judges.arrays import Bools, Ints
-from reference.pictures import Codes, compare_levels, to_picture
+from reference.pictures import Codes, compare_levels, to_rows
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
 _MAX_LIGHTS = 4
-# Rounding may explain at most this share of the pixels.  To test a pixel, its sample is moved by
-# this many pixels, and the origins of its shadow rays are lifted from the surface by these
-# multiples of their distance from the origin of coordinates.
-_MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
+# Rounding may explain at most this share of the pixels.
+_MAX_ROUNDED_SHARE = 0.001
+# To test whether it explains a pixel, the pixel's sample is moved by this many pixels, …
+_SAMPLE_OFFSET = 0.05
+# … and the origins of its shadow rays are lifted from the surface by these multiples of their
+# distance from the origin of coordinates.
+_SHADOW_LIFTS = (-1e-3, 0, 1e-3)
 # Speckles: minimum share of the picture that loses light.
 _MIN_SPECKLE_SHARE = 0.005
 # Maximum share of the lit pixels of the speckled surfaces that lose light: above, they are black.
@@ -40,20 +43,26 @@ _MAX_OTHER_ERRORS = 0.1
 _RANDOM_RATIOS = (0.5, 1.2)
 # Minimum number of neighbours that differ: whole black surfaces have a few such at their edges.
 _MIN_CHANGES = 10
-# JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
-# maximum size of the pictures in pixels.
-_QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
-# Maximum number of places at which to look for the reference picture in a larger picture, and
-# maximum share of its pixels that may differ by more than one level there.
-_MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
+# Qualities of JPEG to try.
+_QUALITIES = (*range(50, 100, 5), 98, 100)
+# Maximum size of a picture to try them on, in pixels.
+_MAX_JPEG_PIXELS = 1_000_000
+# Compression or smoothing must explain at least this share of the wrong pixels.
+_MIN_SAME_SHARE = 0.9
+# Maximum number of places at which to look for the reference picture in a larger picture.
+_MAX_PLACES = 100
+# Two pictures are similar if at most this share of the pixels differs by more than one level.
+_MAX_WRONG_SHARE = 0.005
 # At an edge, neighbouring pixels differ by more than this many levels.
 _MIN_EDGE_LEVELS = 24
 # Antialiasing changes at least this share of the pixels at edges.
 _MIN_SMOOTHED_SHARE = 0.25
 # Sides of tiles in which pictures are rendered, in pixels.
 _TILE_SIDES = (128, 100, 64, 50, 32, 25, 20, 16, 10, 8)
-# A palette has at most this many colours, and changes levels by at most this much.
-_PALETTE_SIZE, _MAX_PALETTE_LEVELS = 256, 32
+# A palette has at most this many colours.
+_PALETTE_SIZE = 256
+# A palette changes nearly all levels by at most this much.
+_MAX_PALETTE_LEVELS = 32
 # How programs scale pictures.
 _SCALINGS = (
     Image.Resampling.NEAREST,
@@ -90,8 +99,10 @@ def find_light_errors(submission: Submission) -> LightErrors | None:
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
-    formula_maps = [parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
-                    for light_set in light_sets]  # fmt: skip
+    formula_maps = [
+        parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
+        for light_set in light_sets
+    ]
     codes = renderer.evaluate(formula_maps, pixel_index, submission.codes)
     # For each set and pixel, the number of missing and extra lights.
     is_in_set = np.array(light_sets)
@@ -351,8 +362,12 @@ def find_wrong_edge(is_wrong: Shaped[Bools, "h w"]) -> str:
 
     The result is empty if there is none, or if no pixel is wrong.
     """
-    edges = {"first row": is_wrong[0], "last row": is_wrong[-1],
-             "first column": is_wrong[:, 0], "last column": is_wrong[:, -1]}  # fmt: skip
+    edges = {
+        "first row": is_wrong[0],
+        "last row": is_wrong[-1],
+        "first column": is_wrong[:, 0],
+        "last column": is_wrong[:, -1],
+    }
     return next((name for name, edge in edges.items() if edge.sum() == is_wrong.sum() > 0), "")
 
 
@@ -366,7 +381,7 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
     if is_speckled(submission):
         sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
         return "shadow-speckles", sentence
-    pictures = [to_picture(codes, width) for codes in both_codes]
+    pictures = [to_rows(codes, width) for codes in both_codes]
     is_wrong = (compare_levels(*both_codes) > 1).reshape(-1, width)
     if part := find_unrendered_part(pictures[0], is_wrong):
         return "unrendered", f"It is the right picture, except that {part}."

@@ -189,13 +189,8 @@ PUBLIC = {
 
 # Modules of which some arrays have no shape yet.
 WITHOUT_SHAPES = {
-    "reference.compare",
-    "reference.handins.diagnosis",
-    "reference.handins.drawing",
-    "reference.handins.search",
     "reference.measured.workloads",
     "reference.mechanisms",
-    "reference.pictures",
     "tracer.scene.model",
     "tracer.scene.schema",
 }
