@@ -218,7 +218,8 @@ def test_boxes_keep_their_thickness_wherever_they_are():
 
 def test_lights_get_the_same_number_of_samples_each():
     """Mitsuba's multijitter also needs a number that its own rounded square root divides."""
-    for light_count, samples, expected in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
+    cases = (3, 64, 72), (3, 2, 2), (5, 5, 15), (2, 9, 12), (0, 7, 7)
+    for light_count, samples, expected in cases:
         scene = replace(TINY, lights=[*TINY.lights][:1] * light_count)
         document = convert_to_stock(scene, samples)
         assert read_number(document, ".//*[@name='sample_count']") == expected

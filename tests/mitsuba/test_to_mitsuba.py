@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 from running import ROOT, drop_jit, file_names, run
 
-from converters.to_mitsuba import main
+from converters.mitsuba_xml import FILE_START
+from converters.to_mitsuba import main, skip_converted_scenes
 from converters.variant import LLVM, SCALAR, VariantChoice, find_fastest_variant, mi, use_variant
 from reference import check, report
 from reference.command import list_scene_files
@@ -34,6 +35,17 @@ def test_the_result_is_beside_the_scene_and_skipped_next_time(small_file, capsys
     scene = small_file.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: skipped, because it is a converted scene\n" in capsys.readouterr().out
+
+
+def test_a_pipe_is_not_read_to_recognise_converted_scenes(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writing_end = os.open(pipe, os.O_RDWR)
+    try:
+        os.write(writing_end, FILE_START.encode())
+        assert skip_converted_scenes([str(pipe)]) == [pipe]
+    finally:
+        os.close(writing_end)
 
 
 def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys):
