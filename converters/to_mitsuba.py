@@ -125,10 +125,11 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Return the paths of files that are not converted scenes, and print a line for each other one.
+    """Drop the paths of converted scenes: print a line for each of them, and return the others.
 
-    Naming a converted scene is not an error, because *.xml also matches its file.  The path of a
-    file that cannot be read is kept, because the caller reads the file again and reports the error.
+    It is no error to name a converted scene, because the pattern *.xml also matches the XML files
+    that this command has written.  The path of a file that cannot be read is kept, because the
+    caller reads the file again and reports the error.
     """
     kept_paths = []
     for path in paths:

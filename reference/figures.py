@@ -65,10 +65,10 @@ class Metrics:
 
     ssim: float  # structural similarity of the gamma-encoded pictures; 1 if they are equal
     max: float
-    percentile: float  # the 99.9th
+    percentile: float  # the `_PERCENTILE`-th
     rmse: float  # of all channels
     median: float
-    differing_count: int  # number of pixels that differ by more than 1e-3
+    differing_count: int  # number of pixels that differ by more than `_LARGE_DIFFERENCE`
 
     def __str__(self) -> str:
         """Format all measures as one line of text."""

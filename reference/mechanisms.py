@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from tracer.command.process import run
 
+# Called before the other imports, so that `run` already handles Ctrl-C, limits NumPy's threads and
+# reports a missing package in one line.  It imports this module again and calls `main`.
 if __name__ == "__main__":
     run(__spec__.name)
 
@@ -52,10 +54,11 @@ _MAX_CERTIFIED_PAIRS, _GRID_SIDE = 300, 24
 # Numbers of rounds in which both tracers render a scene.
 _ROUNDS, _QUICK_ROUNDS = 3, 1
 
-# Renders a scene file with the tracer in the first folder of the path, and prints the number of
-# tests of an object and a ray, segment or capsule, after the least CPU time in seconds: of one
-# picture or, if it is quick, of several.  The first picture does not count.  The arguments are the
-# scene file, the number of samples, and the file for the picture.
+# A program that renders a scene file with the tracer in the first folder of Python's path.  Its
+# arguments are the scene file, the number of samples per pixel, and the file for the picture.  It
+# prints two numbers: the CPU time of the picture in seconds, and the number of times that an object
+# is tested with a ray, segment or capsule.  The first picture warms up the tracer and is not timed.
+# A quick picture is rendered several times, and the least time is printed.
 _MEASURE_SCRIPT = """
 import json, sys, time, warnings
 import numpy as np
@@ -97,26 +100,27 @@ class Mechanism(NamedTuple):
     replacement: str
     scene: str  # the scene that needs it: see `load_named_scene`
     samples: int  # samples per pixel
-    # Without the mechanism, the error and the number of tests are at least these multiples; 0 if
-    # nothing is claimed.  If the error is below 1, the mechanism buys time at the price of error.
-    error: float = 0.0
-    tests: float = 0.0
+    # Minimum ratios of the error and of the number of tests without the mechanism to those with it;
+    # 0 if nothing is claimed.  An error ratio below 1 is a cost: the mechanism saves time, but the
+    # picture is less accurate with it than without it.
+    min_error_ratio: float = 0.0
+    min_test_ratio: float = 0.0
 
 
 class Measured(NamedTuple):
     """What one process measures."""
 
     seconds: float  # CPU time
-    tests: int  # tests of an object and a ray, segment or capsule
+    test_count: int  # how often an object is tested with a ray, segment or capsule
     image: Floats
 
 
 class Gains(NamedTuple):
-    """Ratios of what a picture takes without a mechanism to what it takes with it."""
+    """What a picture costs without a mechanism, divided by what it costs with it."""
 
-    time: float  # of the least times of all rounds
-    tests: float
-    error: float  # RMSE; 1 if the pictures are the same
+    time_ratio: float  # of the least times of all rounds
+    test_ratio: float
+    error_ratio: float  # of the RMSE; 1 if the pictures are the same
 
 
 _TABLE = Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
@@ -192,19 +196,19 @@ def measure(tracer_folder: Path, scene_file: Path, samples: int) -> Measured:
     process = subprocess.run(
         command, cwd=tracer_folder, env=environment, check=True, stdout=subprocess.PIPE
     )
-    seconds, tests = json.loads(process.stdout)
-    return Measured(seconds=seconds, tests=tests, image=np.load(picture_file))
+    seconds, test_count = json.loads(process.stdout)
+    return Measured(seconds=seconds, test_count=test_count, image=np.load(picture_file))
 
 
 def compute_truth(scene: Scene) -> Floats:
-    """Compute the mean radiance of pixels, in all digits that matter for errors of pictures."""
+    """Compute the mean radiance of each pixel, so accurately that pictures can be judged by it."""
     if len(scene.surfaces) * len(scene.lights) > _MAX_CERTIFIED_PAIRS:
         return render_supersampled(scene, _GRID_SIDE)
     return certify(scene, _CERTIFIED_ERROR).image
 
 
 def compute_gains(mechanism: Mechanism, rounds: int) -> Gains:
-    """Measure what the scene that needs a mechanism takes with it and without it."""
+    """Render the scene that needs a mechanism with it and without it, and compare the costs."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         scene = load_named_scene(mechanism.scene)
@@ -218,15 +222,15 @@ def compute_gains(mechanism: Mechanism, rounds: int) -> Gains:
     least_with, least_without = (
         min(result.seconds for result in each) for each in zip(*results, strict=True)
     )
-    error = 1.0
+    error_ratio = 1.0
     if np.abs(with_it.image - without_it.image).max() > _SAME_PICTURE * with_it.image.max():
         truth = compute_truth(scene)
         errors = [compute_rms_error(result.image, truth) for result in results[0]]
-        error = errors[1] / errors[0]
+        error_ratio = errors[1] / errors[0]
     return Gains(
-        time=least_without / least_with,
-        tests=without_it.tests / with_it.tests,
-        error=error,
+        time_ratio=least_without / least_with,
+        test_ratio=without_it.test_count / with_it.test_count,
+        error_ratio=error_ratio,
     )
 
 

@@ -115,7 +115,7 @@ def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> l
 
 
 def read_linear_picture(picture_path: Path) -> Shaped[NDArray[np.float64], "height width 3"]:
-    """Read the picture of a command from `prepare_linear_command`, as linear RGB radiance.
+    """Read a picture that POV-Ray wrote for `prepare_linear_command`, as linear RGB radiance.
 
     Raise ValueError if the file is not a PPM file with 16 bits per channel.
     """

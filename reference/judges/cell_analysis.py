@@ -127,7 +127,11 @@ class CellAnalysis:
         return RayFunctions(pair_index=pair_index, smooth_part=smooth_part, root_factor=b)
 
     def enclose_functions(self, functions: RayFunctions) -> Enclosures:
-        """Enclose functions (8, n) of the camera ray, each in the cell of its pair."""
+        """Bound the values that each function of the camera ray takes in a cell of the picture.
+
+        Function i belongs to the pair `pair_index[i]` of a cell and a face, and is bounded in the
+        cell of this pair.
+        """
         pair_index, smooth_part, root_factor = functions
         coefficients = smooth_part.coefficients.copy()
         function_index = np.flatnonzero(~self.faces.is_planar[self.cells.face_index[pair_index]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TypeAlias, TypedDict
 
 import numpy as np
 
@@ -11,6 +11,16 @@ from reference.judges.arrays import Floats
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces
 
 Vector: TypeAlias = tuple[float, float, float]
+
+
+class _Window(TypedDict, total=False):
+    """Some of the fields of a `Camera`."""
+
+    view_up: Vector
+    proj_distance: float
+    view_width: float
+    view_height: float
+
 
 _LIGHT_INTENSITY = (0.6, 0.6, 0.6)
 
@@ -39,7 +49,7 @@ def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     center = rng.uniform(-1, 1, (small_object_count, 3)) * (4.5, 2.4, 2.0)
     radius = rng.uniform(0.5, 1.5, small_object_count) * 1.6 / np.sqrt(object_count)
     half_size = radius[sphere_count:, None] * rng.uniform(0.4, 0.8, (box_count, 3))
-    window: Any = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
+    window: _Window = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
     camera = Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window)
     surfaces = Surfaces(
         center=center[:sphere_count],
@@ -66,7 +76,7 @@ def build_field_scene(object_count: int) -> Scene:
     radius = mean_radius * rng.uniform(0.6, 1.3, object_count)
     sphere_count = object_count // 2
     box_center, half_size = center[sphere_count:], radius[sphere_count:, None]
-    window: Any = {"view_width": 1, "view_height": 0.5625}
+    window: _Window = {"view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window)
     surfaces = Surfaces(
         center=center[:sphere_count],
@@ -81,16 +91,22 @@ def build_field_scene(object_count: int) -> Scene:
 
 
 def build_sun_scene(ball_count: int) -> Scene:
-    """Build a scene of small balls on a floor that is as wide as the light is far."""
+    """Build a scene of small balls on an endless floor, lit by a very distant light.
+
+    The scene stresses the search for occluders: the light is so far away that all balls lie in
+    almost the same direction from it.  The picture has 96 x 54 pixels.
+    """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-8, 0.1, -8), (8, 0.3, 8), (ball_count, 3))
     return _build_ball_scene(center, [_ENDLESS_FLOOR], (5e4, 1e5, 2e4))
 
 
 def build_horizon_scene(ball_count: int) -> Scene:
-    """Build a scene of balls on a floor, out to the horizon, which a low eye sees, in 640 x 360.
+    """Build a scene of balls on an endless floor, seen by an eye just above the floor.
 
-    The distances of the balls are spread evenly on a logarithmic scale.
+    The scene stresses large differences in depth between neighbouring pixels: the distances of the
+    balls, from 3 to 1,000, are spread evenly on a logarithmic scale.  The picture has 640 x 360
+    pixels.
     """
     rng = np.random.default_rng(ball_count)
     distance = np.exp(rng.uniform(np.log(3), np.log(1000), ball_count))
@@ -102,7 +118,11 @@ def build_horizon_scene(ball_count: int) -> Scene:
 
 
 def build_heap_scene(ball_count: int) -> Scene:
-    """Build a scene of a heap of balls, all in the shadow of one large ball, in 640 x 360."""
+    """Build a scene of a heap of balls, which are all in the shadow of one large ball.
+
+    The scene stresses shadow tests: each hit has many possible occluders, but one of them, the
+    large ball, already decides.  The picture has 640 x 360 pixels.
+    """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-4, 0.1, -4), (4, 12, 4), (ball_count, 3))
     scene = _build_ball_scene(center, [((-30, -1, -30), (30, 0, 30))], (1, 30, 2), radius=0.4)
@@ -112,7 +132,11 @@ def build_heap_scene(ball_count: int) -> Scene:
 
 
 def build_rods_scene(rod_count: int) -> Scene:
-    """Build a scene of long thin rods, oblique in the picture, above a floor, in 640 x 360."""
+    """Build a scene of long thin rods above a floor, which are oblique in the picture.
+
+    The scene stresses bounding rectangles, which are much larger than the rods that they contain.
+    The picture has 640 x 360 pixels.
+    """
     rng = np.random.default_rng(rod_count)
     center = rng.uniform((-5, 0.5, -5), (5, 7, 5), (rod_count, 3))
     half_size = np.full((rod_count, 3), 0.02)
@@ -123,14 +147,18 @@ def build_rods_scene(rod_count: int) -> Scene:
         shader_index=np.arange(rod_count + 1) % len(_SHADERS),
         shaders=_SHADERS,
     )
-    window: Any = {"view_up": (1, 1, 0), "view_width": 1, "view_height": 0.5625}
+    window: _Window = {"view_up": (1, 1, 0), "view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(12, 12, 12), view_dir=(-12, -9, -12), **window)
     lights = _make_lights((7, 10, -6), (-7, 13, 8))
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
 
 def build_dust_scene(ball_count: int) -> Scene:
-    """Build a scene of a floor in the shadow of tiny balls, which are all above the picture."""
+    """Build a scene of a floor in the shadow of tiny balls, which are all above the picture.
+
+    The scene stresses shadows: only the floor is visible, and all balls are possible occluders of
+    it.  The picture has 48 x 27 pixels.
+    """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-2.5, 12, -2.5), (2.5, 14, 2.5), (ball_count, 3))
     floor = (-30, -1, -30), (30, 0, 30)
@@ -139,14 +167,15 @@ def build_dust_scene(ball_count: int) -> Scene:
 
 
 def build_dim_lights_scene(light_count: int) -> Scene:
-    """Build a scene of a ball before a wall, whose lights have a total intensity of 1.2.
+    """Build a scene of a ball before a wall, lit by many lights whose intensities add up to 1.2.
 
-    The picture has 24 x 24 pixels.
+    The scene stresses shadow edges, of which there are many, each of low contrast.  The picture
+    has 24 x 24 pixels.
     """
     position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (light_count, 3))
     intensity = (1.2 / light_count,) * 3
     lights = [PointLight(position=each, intensity=intensity) for each in position]
-    window: Any = {"proj_distance": 100, "view_width": 4, "view_height": 4}
+    window: _Window = {"proj_distance": 100, "view_width": 4, "view_height": 4}
     camera = Camera(view_point=(0, 0, 100), **window)
     wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
     ball = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
@@ -171,14 +200,17 @@ def _build_ball_scene(
         shader_index=np.arange(surface_count) % len(_SHADERS),
         shaders=_SHADERS,
     )
-    window: Any = {"view_width": 1, "view_height": 0.5625}
+    window: _Window = {"view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(6, 6, 6), view_dir=(-6, -6, -6), **window)
     lights = [PointLight(position=light)]
     return Scene(camera=camera, width=96, height=54, lights=lights, surfaces=surfaces)
 
 
 def build_small_ball_scene() -> Scene:
-    """Build a scene of one ball, which is a thousandth as wide as its picture, 2560 x 1440."""
+    """Build a scene of one ball, whose width is a thousandth of the width of the picture.
+
+    The scene stresses what is spent on the background.  The picture has 2560 x 1440 pixels.
+    """
     camera = Camera(view_point=(0, 0, 10), view_width=1.6, view_height=0.9)
     ball, lights = Sphere(radius=0.008), _make_lights((3, 4, 5))
     return Scene(camera=camera, width=2560, height=1440, lights=lights, surfaces=[ball])

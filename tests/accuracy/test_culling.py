@@ -47,7 +47,7 @@ def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
         patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
         patch("tracer.trace.radiance.find_shadows", _test_all_occluders),
         patch.object(ScreenBounds, "is_in_picture", lambda self, _: np.full(self.top.size, True)),
-        patch.object(ScreenBounds, "compute_window", lambda *_: window),
+        patch.object(ScreenBounds, "find_visible_pixels", lambda *_: window),
     ):
         return render(scene)
 
@@ -234,11 +234,11 @@ def test_threads_share_prepared_lights(monkeypatch):
 
     monkeypatch.setattr(PreparedScene, "prepare_lights", prepare_slowly)
     with ThreadPoolExecutor(4) as pool:
-        batches_of_threads = [*pool.map(lambda _: [*shared_scene.light_batches], range(4))]
+        all_batches = [*pool.map(lambda _: [*shared_scene.iterate_light_batches()], range(4))]
         assert starts == [0, 4, 8]
-        for first, *others in zip(*batches_of_threads, strict=True):
+        for first, *others in zip(*all_batches, strict=True):
             assert all(lights is first for lights in others)
-        position = np.concatenate([lights.position for lights in batches_of_threads[3]])
+        position = np.concatenate([lights.position for lights in all_batches[3]])
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same holds if threads render the tiles of a picture.
         monkeypatch.setattr("tracer.picture.render._MAX_TILE_SECONDS", 1e-4)
@@ -374,9 +374,9 @@ def test_objects_that_differ_in_one_number_are_no_duplicates():
             variants.append((surface, replace(surface, **{field: moved_point})))
     for pair in variants:
         for first, second in (pair, pair[::-1]):
-            for surfaces, expected in (((first, second), [0, 0]), ((first, first), [0, 1])):
-                scene = scene_of(*surfaces, camera=CAMERA, size=(2, 2), lights=(3, 5, 4))
-                assert PreparedScene(scene).is_duplicate.tolist() == expected, surfaces
+            for items, expected in (((first, second, first), [0, 0, 1]), ((first, first), [0, 1])):
+                scene = scene_of(*items, camera=CAMERA, size=(2, 2), lights=(3, 5, 4))
+                assert PreparedScene(scene).is_duplicate.tolist() == expected, items
     # A box of which one face is hidden, and a box that is deeper: both are visible.
     scene = scene_of(
         Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0), shader=Lambertian(diffuse=(1, 0, 0))),

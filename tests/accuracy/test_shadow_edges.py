@@ -64,7 +64,7 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     hits = find_nearest_hits(scene, PIXEL_CENTERS.place_in_pixels(slice(0, 1), slice(0, 1)))
     np.testing.assert_allclose(np.ravel(hits.get_points(slice(None))), 0, atol=1e-12)
     faces_light, radius = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
-    (lights,) = scene.light_batches
+    (lights,) = scene.iterate_light_batches()
     is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, radius)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()

@@ -138,7 +138,7 @@ def classify_cells(
     shading = Shading(hits, with_ids=True)
     light_edges = [
         _shade_and_find_edges(shading, surfaces, lights, cells.tolerance)
-        for lights in scene.light_batches
+        for lights in scene.iterate_light_batches()
     ]
     all_lines = Lines.concatenate([geometry_fits.lines, *(each.lines for each in light_edges)])
     lines = all_lines.sort_and_deduplicate()

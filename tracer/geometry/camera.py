@@ -101,7 +101,10 @@ class CameraFrame(NamedTuple):
         The thickness of a layer is `_LAYER_ASPECT` times the width of a packet at that depth.
         """
         relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
-        # The bits of a positive float, read as an integer, grow almost linearly with its logarithm.
+        # Layers should have equal ratios of their farthest to their nearest depth, so their numbers
+        # should grow with the logarithm of the depth.  Instead of the logarithm, which is slower,
+        # take the bits of the float, read as an integer: exponent bits, then mantissa bits.  They
+        # grow by `_BITS_PER_OCTAVE` whenever the depth doubles, and linearly in between.
         return depth.view(np.int64) // max(1, int(_BITS_PER_OCTAVE * relative_thickness))
 
     @property
@@ -182,8 +185,8 @@ class ScreenBounds(NamedTuple):
         is_in_picture: Bools = is_in_rows & is_in_columns
         return is_in_picture
 
-    def compute_window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Compute rows and columns of pixels that contain all visible objects; may be empty."""
+    def find_visible_pixels(self, frame: CameraFrame) -> tuple[slice, slice]:
+        """Find the rows and columns of pixels that contain all visible objects; may be empty."""
         visible = self.select(self.is_in_picture(frame))
         rows = _find_covered_pixels(visible.top, visible.bottom, frame.height)
         columns = _find_covered_pixels(visible.left, visible.right, frame.width)

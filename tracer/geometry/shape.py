@@ -264,9 +264,10 @@ class Shape(ABC):
         ray: Shaped[Triple, "#m n"],
         inverse_t: Shaped[Floats, "m n"],
     ) -> Shaped[Triple, "m n"]:
-        """Compute normals of the curved face, of any length, where rays from the eye meet it.
+        """Compute outward normals where rays from the eye hit the curved face.
 
-        Pass the results of `compute_inverse_t`.  The normals point outwards, in camera axes.
+        The normals are in camera axes, and are not normalised.  `ray` and `inverse_t` are results
+        of `compute_inverse_t`.
         """
         raise NotImplementedError
 

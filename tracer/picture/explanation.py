@@ -223,9 +223,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     frame = prepared_scene.frame
     samples = PIXEL_CENTERS.place_in_pixels(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
-    radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
-    scene_hit = FirstHits.from_hits(hits)
-    surface_index = scene_hit.surface.item()
+    radiance = shade(hits, prepared_scene.iterate_light_batches()).compute_radiance()[:, 0]
+    first_hit = FirstHits.from_hits(hits)
+    surface_index = first_hit.surface.item()
     ray = samples.compute_ray_x(frame), frame.to_ray_y(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
@@ -235,14 +235,14 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         eye=_to_vector(frame.eye),
         direction=_to_vector(normalize(np.ravel(frame.rotate_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
-        distance=scene_hit.distance.item(),
-        point=_to_vector(scene_hit.point[0]),
-        normal=_to_vector(scene_hit.normal[0]),
+        distance=first_hit.distance.item(),
+        point=_to_vector(first_hit.point[0]),
+        normal=_to_vector(first_hit.normal[0]),
         kd=_to_vector(shader.diffuse),
         ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _explain_light(scene, hits, scene_hit, light_index)
+            _explain_light(scene, hits, first_hit, light_index)
             for light_index in range(len(scene.lights) if has_hit else 0)
         ),
         radiance=_to_vector(radiance),
@@ -250,23 +250,31 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     )
 
 
-def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: int) -> LightPart:
+def _explain_light(
+    scene: Scene, camera_hits: Hits, first_hit: FirstHits, light_index: int
+) -> LightPart:
     """Compute the contribution of one light to a pixel that shows a surface.
 
-    `hit` is the hit of the pixel's ray in camera axes, and `scene_hit` the same in scene axes.
+    `camera_hits` and `first_hit` contain the same single hit, in camera axes and in scene axes.
+    The first is needed to decide what the renderer decides, with the same rounding errors: whether
+    the surface faces the light, and what blocks it.  The second gives the cosines that are shown,
+    which thus agree with the position and the normal that are shown.
     """
     light = scene.lights[light_index]
-    prepared_light = hit.scene.prepare_lights(slice(light_index, light_index + 1))
-    is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
+    prepared_light = camera_hits.scene.prepare_lights(slice(light_index, light_index + 1))
+    is_facing_light = compute_light_geometry(camera_hits, prepared_light).n_dot_l.item() > 0
     # A surface that faces away from the light blocks the light itself.
-    occluder_index = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
+    if is_facing_light:
+        occluder_index = _find_occluders(camera_hits, prepared_light)
+    else:
+        occluder_index = camera_hits.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for channel, *terms in shade(hit, [prepared_light]).compute_channels():
+    for channel, *terms in shade(camera_hits, [prepared_light]).compute_channels():
         diffuse[channel], specular[channel] = (term.item() for term in terms)
-    point = scene_hit.point[0]
-    normal = scene_hit.normal[0]
+    point = first_hit.point[0]
+    normal = first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
-    half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))
+    half_vector = normalize(to_light + normalize(camera_hits.scene.frame.eye - point))
     surface_indices = scene.surfaces.file_index[occluder_index].tolist()
     return LightPart(
         line=light.line,

@@ -83,8 +83,8 @@ def lint_scene(
     prepared_scene
         The same scene, prepared for its camera.
     exposure
-        Counts in the whole picture.  None if only a part of the picture is known: that it is black
-        or too bright says nothing about the scene.
+        Counts in the whole picture.  None if only a part of the picture was rendered; then no
+        warning is given about black or too bright pictures, because the rest may look different.
     """
     range_warning = _check_color_ranges(scene)
     if range_warning:

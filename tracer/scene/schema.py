@@ -2,8 +2,11 @@
 
 The metadata of each dataclass field contain its *validator*, a function of a value and the name of
 the field, which returns the value to store or raises `SceneError`.  The same rules validate the
-fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in a scene file
-(`find_errors`).
+fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in a scene file.
+
+Three functions find errors in numbers: `NumberValidator.find_errors` finds values of one field that
+violate its rules; `Validated.find_conflicts` finds objects whose fields are valid, one by one, but
+contradict each other; and `find_errors` finds both kinds of errors in all fields of a class.
 
 The *rows* of a numeric field are its values in n objects: one row of numbers for each object.  A
 row of NaN stands for a missing value.
@@ -96,7 +99,10 @@ class Validated:
 
     __slots__ = ("__weakref__",)
 
-    if not TYPE_CHECKING:  # type checkers compare calls with the fields
+    # The constructor that @dataclass generates would report values by position with a message about
+    # counts of arguments.  `__new__` runs before it, and says which names are needed.  It is hidden
+    # from type checkers, which compare calls with the fields, because it accepts any arguments.
+    if not TYPE_CHECKING:
 
         def __new__(cls, *args: object, **_values: object) -> Any:
             """Create an instance, or tell a caller who gives values by position to name them."""
@@ -110,7 +116,9 @@ class Validated:
         lines: list[str] = []
         for field in fields(self):
             validate, value = field.metadata.get("validator"), getattr(self, field.name)
-            if validate is not None and (value is not None or field.default is not None):
+            # None means "not given" where it is the default; elsewhere, it is an invalid value.
+            is_omitted = value is None and field.default is None
+            if validate is not None and not is_omitted:
                 try:
                     object.__setattr__(self, field.name, validate(value, field.name))
                 except SceneError as error:
@@ -173,7 +181,10 @@ class NumberValidator:
         self.requirement = f"needs {number_count} number{'s' * (number_count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
-        """Validate the value of a field, and convert it to a tuple of floats, or to one float."""
+        """Validate the value of a field, and convert it to a tuple of floats, or to one float.
+
+        Raise `SceneError` if the value is invalid.
+        """
         array = _copy_floats(value, name)
         if array.size != self.number_count or array.ndim > 1:
             shape_or_size = f"shape {array.shape}" if array.ndim > 1 else array.size
@@ -185,7 +196,8 @@ class NumberValidator:
     def copy_rows(self, values: ArrayLike, name: str) -> Shaped[Floats, "n ..."]:
         """Copy the rows of a field into an array, which is one-dimensional if a row is one number.
 
-        Only the shape and the type are checked here; `find_errors` checks the numbers themselves.
+        Only the shape and the type are checked here, and `SceneError` is raised if they are wrong;
+        `find_errors` checks the numbers themselves.
         """
         array = _copy_floats(values, name)
         if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):
@@ -232,7 +244,10 @@ def find_errors(
 
 
 def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
-    """Copy whole numbers, which may be floats, into a one-dimensional int array."""
+    """Copy whole numbers, which may be floats, into a one-dimensional int array.
+
+    Raise `SceneError` if a number is not whole.
+    """
     floats = _copy_floats(values, name).ravel()
     with np.errstate(invalid="ignore"):
         integers = floats.astype(np.intp)
@@ -244,7 +259,8 @@ def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
 def validate_picture_side(value: int, name: str) -> int:
     """Validate the width or height of a picture, and convert it to a Python int.
 
-    The conversion is necessary, because products of NumPy integers may overflow.
+    The conversion is necessary, because products of NumPy integers may overflow.  Raise
+    `SceneError` if the value is invalid.
     """
     try:
         side = int(operator.index(value))
@@ -282,7 +298,7 @@ def require_type(*types: type) -> _Validator:
 
 
 def _copy_floats(value: ArrayLike, name: str) -> Shaped[Floats, "..."]:
-    """Copy real numbers into a float64 array of the same shape."""
+    """Copy real numbers into a float64 array of the same shape, or raise `SceneError`."""
     try:
         array = np.asarray(value)
         # NumPy would parse text, convert None and times to NaN, and drop imaginary parts.

@@ -24,7 +24,7 @@ from tracer.scene.schema import NumberValidator, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Matches in strings with numbers that float() may have rounded to 0.
+# Matches in text with numbers that may underflow to zero in float().
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 # Words that denote 0 exactly.
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
@@ -33,8 +33,8 @@ _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 def parse_numbers(text: str, number_count: int) -> list[float]:
     """Parse `number_count` decimal numbers that are separated by white space.
 
-    Return no numbers if the text is anything else, or if float64 would round a number other
-    than 0 to 0.
+    Return an empty list if the text does not consist of exactly so many numbers, or if a number
+    other than 0 would underflow to zero in float64.
     """
     words = text.split()
     try:

@@ -25,7 +25,7 @@ def compute_radiance(
     returned.
     """
     hits = find_nearest_hits(scene, samples)
-    return shade(hits, scene.light_batches).compute_radiance(out)
+    return shade(hits, scene.iterate_light_batches()).compute_radiance(out)
 
 
 def compute_radiance_and_visibility(
@@ -37,7 +37,7 @@ def compute_radiance_and_visibility(
     lights are visible from both hits.  The id is -1 if the ray meets no surface.
     """
     hits = find_nearest_hits(scene, samples)
-    shading = shade(hits, scene.light_batches, with_ids=True)
+    shading = shade(hits, scene.iterate_light_batches(), with_ids=True)
     visibility_ids = np.full(samples.size, -1)
     visibility_ids[hits.sample_index] = shading.visibility_ids
     return shading.compute_radiance(), visibility_ids

@@ -1,9 +1,11 @@
 """Samples: positions in the picture, and which objects may be visible at each of them.
 
 There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at
-arbitrary positions.  Both have the same methods, and find all pairs of a sample and an object that
-the ray through the sample may meet.  The pairs are arranged in *spans*: a span is the part of one
-row that one object covers.  Other objects may hide it.
+arbitrary positions.  Both kinds have the same interface: the attribute `y` and the properties
+`size` and `per_pixel_side`, and the methods `compute_ray_x`, `get_positions` and `find_spans`.  The
+last one finds all pairs of a sample and an object that the ray through the sample may meet.  The
+pairs are arranged in *spans*: a span is the part of one row that one object covers.  Other objects
+may hide it.
 
 All positions and lengths are in pixels; positions are measured from the upper left corner of the
 picture.
@@ -25,8 +27,8 @@ from tracer.world.prepared_scene import PreparedScene
 # far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Exponents of the numbers of samples along x and along y in the geometric mean that determines the
-# size of packets.
+# Weights of the numbers of samples along x and along y in `Rows.per_pixel_side`, a weighted
+# geometric mean.
 _X_WEIGHT = 0.75
 _Y_WEIGHT = 1 - _X_WEIGHT
 

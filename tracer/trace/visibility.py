@@ -27,9 +27,10 @@ from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene
 
-# Runs of scattered samples end at the borders of strips of this width, in pixels, and of the layers
-# of depth that belong to packets of this width (see `CameraFrame.assign_layer`).  So the hits of a
-# run are close together, and have a small bounding sphere.
+# The hits of a run should be close together, so that their bounding sphere is small.  Therefore the
+# picture is divided into vertical strips of this width, in pixels, and the scene into layers:
+# intervals of the depth, about as thick as a few strips are wide (see `CameraFrame.assign_layer`).
+# A run of scattered samples ends where the next hit is in another strip or layer.
 _RUN_WIDTH = 4.0
 
 # Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
@@ -184,12 +185,14 @@ def _select_visible(
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
     """Compute the positions and tangent planes of hits from intersections, without misses."""
     from_eye = np.empty((3, sum(group.t.size for group in groups)))
-    shape_hits, start = list[ShapeHits](), 0
+    shape_hits = list[ShapeHits]()
+    start = 0
     for group in groups:
-        if group.t.size:
-            interval = slice(start, start + group.t.size)
+        stop = start + group.t.size  # the hits of this group are from_eye[:, start:stop]
+        if start < stop:
+            interval = slice(start, stop)
             shape_hits.append(_build_shape_hits(scene, samples, group, from_eye, interval))
-            start = interval.stop
+        start = stop
     # Without groups, np.concatenate needs an array that has the type of the result.
     no_index = np.zeros(0, dtype=np.intp)
     run_length = np.concatenate([no_index, *(group.run_length for group in shape_hits)])

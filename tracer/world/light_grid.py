@@ -211,7 +211,11 @@ class LightGrid(NamedTuple):
     def _list_entries(
         self, parts: _Parts
     ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
-        """Yield, in batches, the index of each part with all entries listed in its cells."""
+        """Yield every (part, entry) pair in which a cell that the part overlaps lists the entry.
+
+        Each batch consists of two parallel arrays: the parts' indices and the entries' indices.  A
+        pair occurs once for each such cell.
+        """
         patch_index = self.patches.of_octant.take(parts.octant_index)
         rectangles = self.patches.to_relative(parts.rectangles, patch_index)
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)

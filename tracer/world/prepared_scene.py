@@ -52,8 +52,9 @@ _PACKET_SCALE = 0.75
 # Stands for the highlights of surfaces without any.
 _NOT_GLOSSY = Phong(exponent=0.0)
 
-# The hash of an object is the sum of its numbers, each times one of these factors.
-_HASH_FACTORS = np.sqrt([2, 3, 5, 7, 11])
+# The hash of an object is the sum of its numbers, each times one of these factors.  There must be
+# as many factors as an object of any kind has numbers.
+_HASH_FACTORS = np.sqrt([2, 3, 5, 7, 11, 13, 17, 19])
 
 
 class Lights(NamedTuple):
@@ -67,7 +68,7 @@ class Lights(NamedTuple):
 
     @property
     def near_position(self) -> Shaped[Floats, "lights 3"]:
-        """Positions in which distant lights are moved closer, as in `grid`."""
+        """Positions of the lights; those of distant lights are moved closer, as in `grid`."""
         return self.position if self.grid is None else self.grid.light_position[:, :, 0].T
 
     @property
@@ -83,7 +84,6 @@ class PreparedScene:
     Parameters
     ----------
     scene : Scene
-        The scene.
     offset : (float, float)
         Displacement of every ray to the right and down, in pixels.
     """
@@ -139,7 +139,7 @@ class PreparedScene:
         # Rectangles with top > bottom are not visible.
         self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
         self.depth_complexity = self.bounds.compute_depth_complexity(self.frame)
-        self.window = self.bounds.compute_window(self.frame)
+        self.window = self.bounds.find_visible_pixels(self.frame)
         self.packet_width = _choose_packet_width(self.frame, coordinate_bound.size)
 
     def _prepare_shaders(self) -> None:
@@ -162,12 +162,8 @@ class PreparedScene:
         memory_limit = int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))
         return max(1, min(max_samples, memory_limit))
 
-    @property
-    def light_batches(self) -> Iterator[Lights]:
-        """All lights of the scene, in smaller batches if there are many objects.
-
-        Each access starts again with the first light.
-        """
+    def iterate_light_batches(self) -> Iterator[Lights]:
+        """Yield all lights of the scene in batches, which are smaller if there are many objects."""
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, lights_per_batch):
@@ -222,7 +218,8 @@ def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
         objects = get_object_range(surfaces, kind).slice
         numbers = [row for column in columns.values() for row in np.atleast_2d(column.T)]
         # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
-        hash_terms = [factor * row for factor, row in zip(_HASH_FACTORS, numbers, strict=False)]
+        factors = _HASH_FACTORS[: len(numbers)]
+        hash_terms = [factor * row for factor, row in zip(factors, numbers, strict=True)]
         sorted_index = np.lexsort((surfaces.file_index[objects], np.sum(hash_terms, axis=0)))
         is_first = mark_run_starts(*(row[sorted_index] for row in numbers))
         is_duplicate[objects][sorted_index] = ~is_first
