@@ -273,14 +273,6 @@ def test_a_ball_that_touches_the_eye_from_behind_is_not_visible():
         assert np.array_equal(render(replace(scene, surfaces=[wall, ball])), expected)
 
 
-def test_a_ball_smaller_than_a_pixel_is_visible_in_any_pixel():
-    camera = Camera(view_width=2, view_height=2)
-    for row, column in product(range(4), repeat=2):
-        ball = Sphere(center=(2 * column - 3, 3 - 2 * row, -4), radius=0.2)
-        image = render(scene_of(ball, camera=camera, size=(4, 4), lights=(0, 0, 0)))
-        assert np.argwhere(image.any(axis=2)).tolist() == [[row, column]]
-
-
 def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> list[int]:
     """Record the sizes of the batches that a generator function of a module or a class yields.
 

@@ -185,3 +185,11 @@ def test_first_hits_are_those_of_the_picture(kind):
     assert is_lit.sum() > 100
     hits = first_hits(scene, column + 0.5, row + 0.5)
     np.testing.assert_allclose(green[is_lit] / red[is_lit], hits.surface[is_lit])
+
+
+def test_a_ball_smaller_than_a_pixel_is_visible_in_any_pixel():
+    camera = Camera(view_width=2, view_height=2)
+    for row, column in np.ndindex(4, 4):
+        ball = Sphere(center=(2 * column - 3, 3 - 2 * row, -4), radius=0.2)
+        image = render(scene_of(ball, camera=camera, size=(4, 4), lights=(0, 0, 0)))
+        assert np.argwhere(image.any(axis=2)).tolist() == [[row, column]]
