@@ -206,8 +206,10 @@ def test_warnings_are_those_of_one_thread():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_fork_after_a_render_is_safe():
+    # Other tests may have left threads of their own.
+    old_count = threading.active_count()
     render(sphere_scene())
-    assert threading.active_count() == 1
+    assert threading.active_count() <= old_count
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert pool.apply(render, (sphere_scene(),)).any()
 

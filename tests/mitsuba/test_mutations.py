@@ -113,7 +113,7 @@ def test_a_wrong_picture_is_detected(monkeypatch, mutation, name, ssim_misses):
 
 # Mistakes that `reference/handins/mistakes.md` describes.
 MISTAKES = """
-ambient-.1 diffuse-ignored exponent-2 falloff-2 h-length l-length light-first mirrored
+ambient-.1 diffuse-ignored exponent-1 falloff-2 h-length l-length light-first mirrored
 nl-absolute-diffuse nl-unclipped normal-inwards normal-length-sphere pixel-upper-left flipped
 projDistance-ignored reflection shadow-none silhouettes size-minus-1
 specular-none unshaded viewDir-length window-ignored
