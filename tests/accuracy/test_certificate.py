@@ -42,12 +42,6 @@ class EnclosureSampler:
     sample error, and the jumps of all strips that contain the point.
     """
 
-    # Maximum of a sample's error minus the bound on it.  The bound is the sum of the enclosure's
-    # maximum deviation, the region's sample error, and the jumps of all strips that contain the
-    # point.
-    max_excess: float
-    sample_count: int
-
     max_excess: float  # maximum of a sample's error minus the bound on it
     sample_count: int
 
