@@ -116,10 +116,14 @@ def test_cylinders_are_antialiased(seed: int) -> None:
     assert error < 0.3 * grid_error
 
 
-def prepare(shape_type: type[Shape], seed: int) -> tuple[Shape, Ints]:
-    """Prepare the objects of one kind in a random scene, and return their object indices."""
-    scene = PreparedScene(random_scene(seed))
-    (shape,) = (shape for shape in scene.shapes if isinstance(shape, shape_type))
+def prepare(shape_type: type[Shape], seed: int, **camera: Any) -> tuple[Shape, Ints]:
+    """Prepare the objects of one kind in a random scene, and return their object indices.
+
+    `camera` replaces arguments of the scene's `Camera`.
+    """
+    scene = random_scene(seed)
+    prepared = PreparedScene(replace(scene, camera=replace(scene.camera, **camera)))
+    (shape,) = (shape for shape in prepared.shapes if isinstance(shape, shape_type))
     return shape, shape.objects.list_indices()
 
 
@@ -181,6 +185,30 @@ def test_ranges_of_rows_are_exact(shape_type: type[Shape], seed: int) -> None:
         row_left, row_right = shape.find_x_range(object_index, y - height / 3, height)
         assert (row_left <= left + 1e-9)[appears].all()
         assert (row_right >= right - 1e-9)[appears].all()
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_an_object_is_everywhere_in_a_picture_from_inside(
+    shape_type: type[Shape], seed: int
+) -> None:
+    shape, objects = prepare(shape_type, seed)
+    low, high = (corner[:, 0] for corner in shape.compute_bounding_boxes())
+    center = (low + high) / 2
+    # The centre of a side of the bounding box is on the object.
+    to_wall = np.eye(3)[seed % 3] * (high - low) / 2
+    # The eye is at the centre, between the centre and the wall, and near the wall.
+    for share in (0.0, 0.6, 1 - 1e-9):
+        camera = {"view_point": center + share * to_wall, "view_width": 9, "view_height": 5}
+        shape, objects = prepare(shape_type, seed, **camera)
+        x, y = np.random.default_rng(seed).uniform(0, 1, (2, 200)) * [[60], [45]]
+        object_index, frame = objects[:1].repeat(x.size), shape.frame
+        t, _ = shape.intersect(object_index, frame.to_ray_y(y), frame.to_ray_x(x), None)
+        assert np.isfinite(t).all()
+        left, right = shape.find_x_range(object_index, y, 0.0)
+        assert (left <= x).all()
+        assert (x <= right).all()
 
 
 @EACH_SHAPE
