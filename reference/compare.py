@@ -1,14 +1,15 @@
 """Compare pictures with the right ones, and report the mistakes in them.
 
-    python -m reference.compare HAND-IN.png SCENE.xml
-    python -m reference.compare HAND-INS/ SCENES/
+    python -m reference.compare HAND-IN RIGHT
+    python -m reference.compare room.png scenes/room.xml
+    python -m reference.compare hand-ins/ scenes/
 
-RIGHT is a scene file, which is rendered, a picture, or a folder of these.  A mistake is reported if
-rendering the scene with this mistake reproduces the hand-in.  If no mistake does, the report names
-the nearest one, and states where the pictures differ.  If RIGHT is a picture, only some mistakes of
-the camera and of the encoding can be found.  All pictures in a folder and its subfolders are
-compared with the scenes of the same name: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with
-NAME.xml.
+HAND-IN is a picture, or a folder.  RIGHT is a scene file, which is rendered, or a picture, or a
+folder of these.  A mistake is reported if rendering the scene with this mistake reproduces the
+hand-in.  If no mistake does, the report names the nearest one, and states where the pictures
+differ.  If RIGHT is a picture, only some mistakes of the camera and of the encoding can be found.
+All pictures in a folder and its subfolders are compared with the scenes of the same name: NAME.png,
+NAME.xml.png, ID_NAME.png and NAME-ID.png with NAME.xml.
 Exit status: 0 if all agree, or are within the tolerances; 1 if some differ or are missing; 2 for
 wrong usage; 3 if some cannot be compared.
 """
@@ -24,33 +25,44 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event
 from typing import Annotated as Shaped
+from typing import NamedTuple
 
 import numpy as np
 
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
-from reference.figures import compare_codes, write_comparison
+from reference.figures import Differences, compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page, render_student_pages
 from reference.handins.diagnosis import (
     AGREEING_KINDS,
+    IDENTICAL,
     UNKNOWN,
+    WRONG_SIZE,
+    Diagnosis,
     Reference,
     find_worst_pixel,
     make_verdict,
 )
 from reference.handins.folders import HandIn, list_hand_ins, list_references, match_hand_ins
-from reference.handins.results import Result, format_csv, format_json, format_text, sort_causes
+from reference.handins.results import (
+    UNREAD,
+    Result,
+    format_csv,
+    format_json,
+    format_text,
+    sort_causes,
+)
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
-from reference.pictures import Codes, read_picture
+from reference.pictures import Codes, Picture, read_picture
 from tracer import load_scene
-from tracer.command.arguments import OUTPUT_REMEDY, check_path, is_folder
+from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress, track
@@ -58,8 +70,59 @@ from tracer.messages import make_printable
 
 # Time between updates of the progress bar of a single comparison.
 _REFRESH_SECONDS = 0.5
+# Keyword of the diagnosis of a picture that shows another scene of the folder.
+_OTHER_SCENE = "other-scene"
 # The error of a hand-in whose worker process has died.
 _WORKER_DIED = "cannot be compared: its process was ended; is there enough memory?"
+
+
+class Options(NamedTuple):
+    """The arguments and options on the command line."""
+
+    hand_in: Path  # a picture, or a folder of pictures
+    reference: Path  # a scene file or a picture, or a folder of these
+    ssim: float | None  # minimum structural similarity of pictures that agree
+    max: float | None  # maximum linear difference of pictures that agree
+    output: str | None  # file for the comparison picture, or folder for several
+    html: str | None  # file for the page of all pictures, or folder that also gets students' pages
+    students: Path | None  # the class list
+    format_results: Callable[[Sequence[Result]], str] | None  # None for text
+
+    @property
+    def is_class(self) -> bool:
+        """Whether a folder of pictures is compared, not a single picture."""
+        return self.hand_in.is_dir()
+
+    @property
+    def folder(self) -> Path:
+        """The folder that contains the pictures, directly or in its subfolders."""
+        return self.hand_in if self.is_class else self.hand_in.parent
+
+    @property
+    def page_path(self) -> Path | None:
+        """The path of the page of all pictures, which is `index.html` if --html names a folder."""
+        if self.html is None:
+            return None
+        return Path(self.html, "index.html") if is_folder(self.html) else Path(self.html)
+
+    def choose_comparison_path(self, picture_path: Path) -> Path | None:
+        """Choose where to write the comparison of a submitted picture; None without -o.
+
+        If -o names a folder, each picture gets a path of its own in this folder.
+        """
+        if self.output is None:
+            return None
+        if not is_folder(self.output):
+            return Path(self.output)
+        relative_path = picture_path.relative_to(self.folder)
+        return Path(self.output, relative_path.with_name(f"{picture_path.name}.compare.png"))
+
+
+class Compared(NamedTuple):
+    """What has been found out about a submitted or missing picture."""
+
+    result: Result
+    pair: Pair | None  # for the HTML page; None if no page is requested, or if there is an error
 
 
 def parse_tolerance(argument: str) -> float:
@@ -78,24 +141,10 @@ def _parse_ssim(argument: str) -> float:
     raise argparse.ArgumentTypeError(f"must be from 0 to 1, not {argument}")
 
 
-def _read_class_list(path: Path) -> list[str]:
-    """Read the names of students, one a line; empty lines are skipped."""
-    with errors_as_failure(path, "read", exit_status=FAILED_STATUS, error_types=(ValueError,)):
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    return [name for line in lines if (name := line.strip())]
-
-
-def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
-    """Parse the command line, and match each hand-in with its reference picture or scene.
-
-    The options have two more attributes: `is_class` is True if the first argument is a folder, and
-    `folder` is that folder, or the folder of the single picture.
-
-    If the arguments are wrong, print a message and exit with status 2.  Raise Failure if a file
-    does not exist, or if the class list cannot be read.
-    """
+def _make_command_parser() -> CommandParser:
+    """Create the parser of the command line; its results are the fields of `Options`."""
     command_parser = make_parser("reference.compare")
-    add_argument, report_error = command_parser.add_argument, command_parser.error
+    add_argument = command_parser.add_argument
     add_argument("hand_in", metavar="HAND-IN", type=Path, help="the picture to check, or a folder")
     add_argument("reference", metavar="RIGHT", type=Path, help="a scene, a picture, or a folder")
     add_argument("--ssim", type=_parse_ssim, metavar="S", help="minimum SSIM")
@@ -110,47 +159,53 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with one object per picture")
     add_format("--csv", const=format_csv, help="print the same as a table")
-    options = command_parser.parse_args(arguments)
-    input_path, reference_path = options.hand_in, options.reference
-    for path in (input_path, reference_path):
-        if not path.exists():
-            raise Failure(str(path), "does not exist", exit_status=FAILED_STATUS)
-    options.is_class = input_path.is_dir()
-    options.folder = input_path if options.is_class else input_path.parent
-    picture_paths = list_hand_ins(input_path) if options.is_class else [input_path]
-    if input_path.suffix.lower() == ".xml" or (not picture_paths and [*input_path.glob("*.xml")]):
-        report_error(
-            make_printable(f"{input_path}: a hand-in is a picture; put it before the scene")
-        )
-    if not picture_paths:
-        report_error(make_printable(f"{input_path}: contains no pictures"))
-    if options.is_class and options.output and not is_folder(options.output):
-        problem = f"several pictures need a folder; end it in {os.sep}"
-        report_error(make_printable(f"-o {options.output}: {problem}"))
+    return command_parser
+
+
+def _parse_command_line(arguments: Sequence[str] | None) -> tuple[Options, list[HandIn]]:
+    """Parse the command line, and match each hand-in with its reference picture or scene.
+
+    If the arguments are wrong, or if an output would replace an input, print a message and exit
+    with status 2.  Raise Failure if a file does not exist, or if the class list cannot be read.
+    """
+    command_parser = _make_command_parser()
+    options = Options(**vars(command_parser.parse_args(arguments)))
+    picture_paths = _list_pictures(options, command_parser)
     names = _read_class_list(options.students) if options.students else []
-    hand_ins = match_hand_ins(picture_paths, input_path, reference_path, names)
-    outputs = [_choose_comparison_path(options, path) for path in picture_paths if options.output]
-    outputs += [_get_page_path(options)] if options.html else []
-    reference_files = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
-    forbid_overwriting_inputs(command_parser, outputs, (*picture_paths, *reference_files))
+    hand_ins = match_hand_ins(picture_paths, options.hand_in, options.reference, names)
+    outputs = [options.page_path, *map(options.choose_comparison_path, picture_paths)]
+    references = [hand_in.reference for hand_in in hand_ins if hand_in.reference]
+    forbid_overwriting_inputs(command_parser, filter(None, outputs), [*picture_paths, *references])
     return options, hand_ins
 
 
-def _get_page_path(options: argparse.Namespace) -> Path:
-    """Return the path of the page of all pictures: the one given, or `index.html` in a folder."""
-    path = Path(options.html)
-    return path / "index.html" if is_folder(options.html) else path
+def _list_pictures(options: Options, command_parser: CommandParser) -> list[Path]:
+    """List the pictures to compare: the given one, or all in the given folder.
 
-
-def _choose_comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
-    """Choose the path of the comparison picture for a submitted picture.
-
-    It is the path given with -o; or, if that is a folder, a path in it that is unique.
+    If there is none, or if several pictures have a single output file, print a message and exit
+    with status 2.  Raise Failure if a file of the command line does not exist.
     """
-    if not is_folder(options.output):
-        return Path(options.output)
-    relative_path = picture_path.relative_to(options.folder)
-    return Path(options.output, relative_path.with_name(f"{picture_path.name}.compare.png"))
+    for path in (options.hand_in, options.reference):
+        if not path.exists():
+            raise Failure(str(path), "does not exist", exit_status=FAILED_STATUS)
+    path = options.hand_in
+    picture_paths = list_hand_ins(path) if options.is_class else [path]
+    is_scene = path.suffix.lower() == ".xml"
+    if is_scene or (not picture_paths and [*path.glob("*.xml")]):
+        command_parser.error(f"{path}: a hand-in is a picture; put it before the scene")
+    if not picture_paths:
+        command_parser.error(f"{path}: contains no pictures")
+    if options.is_class and options.output and not is_folder(options.output):
+        problem = f"several pictures need a folder; end it in {os.sep}"
+        command_parser.error(f"-o {options.output}: {problem}")
+    return picture_paths
+
+
+def _read_class_list(path: Path) -> list[str]:
+    """Read the names of students, one a line; empty lines are skipped."""
+    with errors_as_failure(path, "read", exit_status=FAILED_STATUS, error_types=(ValueError,)):
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    return [name for line in lines if (name := line.strip())]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -176,47 +231,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
         If a file does not exist or cannot be written, or if the only picture cannot be compared.
     """
     options, hand_ins = _parse_command_line(arguments)
-    # Sort by reference, so that consecutive hand-ins can use the same cached reference.
-    hand_ins = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
-    if len(hand_ins) == 1:
-        results_and_pairs = [_compare_with_progress_bar(options, hand_ins[0])]
-    else:
-        compare = partial(compare_hand_in, options)
-        comparisons = map_in_workers(
-            compare, hand_ins, lambda hand_in: compare(hand_in._replace(error=_WORKER_DIED))
-        )
-        results_and_pairs = sorted(track(comparisons, len(hand_ins), "pictures"), key=_get_sort_key)
-    results = sort_causes([result for result, _ in results_and_pairs])
-    if options.html:
-        pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
-        _write_pages(options, results, pairs)
+    all_compared = _compare_hand_ins(options, hand_ins)
+    results = sort_causes([compared.result for compared in all_compared])
+    pairs = {str(result.picture): pair for result, pair in all_compared if pair}
+    _write_pages(options, results, pairs)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, exit_status=FAILED_STATUS)
     format_results = options.format_results or partial(format_text, is_class=options.is_class)
     with errors_as_failure("standard output", "written", exit_status=FAILED_STATUS):
         print_or_raise(sys.stdout, format_results(results))
-    if any(result.verdict == "unread" for result in results):
+    if any(result.verdict == UNREAD for result in results):
         return FAILED_STATUS
     return int(not all(result.agrees for result in results))
 
 
-def _write_pages(
-    options: argparse.Namespace, results: Sequence[Result], pairs: dict[str, Pair]
-) -> None:
-    """Write the page of all pictures and, in a folder, `students/NAME.html` for each student."""
-    page_path = _get_page_path(options)
-    pages = {page_path: render_class_page(results, pairs, options.folder)}
-    if is_folder(options.html):
-        for student, page in render_student_pages(results, pairs, options.folder).items():
-            # Names from a class list may contain slashes.
-            pages[page_path.parent / "students" / f"{student.replace('/', '-')}.html"] = page
-    for path, html in pages.items():
-        write_page(path, html, "choose another with --html", FAILED_STATUS)
+def _compare_hand_ins(options: Options, hand_ins: Sequence[HandIn]) -> list[Compared]:
+    """Compare all hand-ins with their references while a progress bar is shown.
+
+    Results for pictures come first, sorted by path.  Missing pictures follow, sorted by student.
+    """
+    if len(hand_ins) == 1:
+        return [_compare_with_progress_bar(options, hand_ins[0])]
+    # Sort by reference, so that consecutive hand-ins can use the same cached reference.
+    hand_ins = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
+    compare = partial(compare_hand_in, options)
+    comparisons = map_in_workers(
+        compare, hand_ins, lambda hand_in: compare(hand_in._replace(error=_WORKER_DIED))
+    )
+    return sorted(track(comparisons, len(hand_ins), "pictures"), key=_get_sort_key)
 
 
-def _compare_with_progress_bar(
-    options: argparse.Namespace, hand_in: HandIn
-) -> tuple[Result, Pair | None]:
+def _get_sort_key(compared: Compared) -> tuple[bool, str, str]:
+    """Return a sort key: pictures come first, by path, and missing pictures follow, by student.
+
+    Scenes for which nobody handed in a picture come last.
+    """
+    result = compared.result
+    return not result.picture, result.picture or result.student or "~", result.scene
+
+
+def _compare_with_progress_bar(options: Options, hand_in: HandIn) -> Compared:
     """Compare one picture with its reference, showing a progress bar after the first second."""
     is_finished = Event()
 
@@ -234,13 +288,22 @@ def _compare_with_progress_bar(
             is_finished.set()
 
 
-def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return a sort key: pictures come first, by path, and missing pictures follow, by student.
+def _write_pages(options: Options, results: Sequence[Result], pairs: dict[str, Pair]) -> None:
+    """Write the pages that --html requests; without this option, do nothing.
 
-    Scenes for which nobody handed in a picture come last.
+    They are the page of all pictures and, if the option names a folder, `students/NAME.html` for
+    each student.  `pairs` are those of the results, by the path of the submitted picture.
     """
-    result, _ = result_and_pair
-    return not result.picture, result.picture or result.student or "~", result.scene
+    page_path = options.page_path
+    if not (options.html and page_path):
+        return
+    pages = {page_path: render_class_page(results, pairs, options.folder)}
+    if is_folder(options.html):
+        for student, page in render_student_pages(results, pairs, options.folder).items():
+            # Names from a class list may contain slashes.
+            pages[page_path.parent / "students" / f"{student.replace('/', '-')}.html"] = page
+    for path, html in pages.items():
+        write_page(path, html, "choose another with --html", FAILED_STATUS)
 
 
 @lru_cache(maxsize=1)
@@ -259,7 +322,7 @@ def _load_reference(path: Path) -> Reference:
 def _load_all_codes(folder: Path) -> dict[str, Shaped[Codes, "height width 3"]]:
     """Render all scenes of a folder, and read its reference pictures: codes by file name.
 
-    What cannot be read is left out: its own hand-ins get the error.
+    Files that cannot be read are left out: the hand-ins that are compared with them get the error.
     """
     all_codes = {}
     for path in list_references(folder).values():
@@ -268,11 +331,8 @@ def _load_all_codes(folder: Path) -> dict[str, Shaped[Codes, "height width 3"]]:
     return all_codes
 
 
-def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a submitted picture with its reference, and return errors instead of raising them.
-
-    The pair is for the HTML page: None if no page is requested, or if there is an error.
-    """
+def compare_hand_in(options: Options, hand_in: HandIn) -> Compared:
+    """Compare a submitted picture with its reference, and return errors instead of raising them."""
     paths = hand_in.picture, hand_in.reference
     picture_name, reference_name = (str(path) if path else None for path in paths)
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
@@ -284,54 +344,87 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         with errors_as_failure(name_in_error, "compared", memory_remedy="compare a part"):
             return _compare_files(options, hand_in.picture, hand_in.reference, result)
     except Failure as failure:
-        return result._replace(error=str(failure)), None
+        error = str(failure)
     except Exception as bug:
         problem = f"cannot be compared: {type(bug).__name__}: {bug}"
-        error = Failure(name_in_error, problem, "this is a bug, please report it")
-        return result._replace(error=str(error)), None
+        error = str(Failure(name_in_error, problem, "this is a bug, please report it"))
+    return Compared(result=result._replace(error=error), pair=None)
 
 
 def _compare_files(
-    options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
-) -> tuple[Result, Pair | None]:
-    """Complete a result: compare its pictures, and draw both side by side if requested.
+    options: Options, picture_path: Path, reference_path: Path, result: Result
+) -> Compared:
+    """Compare the files of two pictures, and add what is found out to a result that names them.
 
-    If a whole class is compared, only pictures that do not agree are drawn.  Raise Failure if a
-    file cannot be read or written.
+    If -o is given, also draw both pictures side by side; of a class, only those that do not agree.
+    Raise Failure if a file cannot be read or written.
     """
-    picture, reference = read_picture(picture_path), _load_reference(reference_path)
+    picture = read_picture(picture_path)
+    reference = _load_reference(reference_path)
+    diagnosis = _diagnose(options, picture, reference)
+    if diagnosis.kind != IDENTICAL:
+        notes = {"It": picture.note, reference_path.name: reference.picture.note}
+        sentences = [f"{subject} {note}" for subject, note in notes.items() if note]
+        diagnosis = diagnosis.prepend_text(" ".join(sentences))
+    result = result._replace(diagnosis=diagnosis)
+    difference = None
+    if picture.codes.shape == reference.codes.shape:
+        result, difference = _add_metrics(options, result, picture.codes, reference.codes)
+        comparison_path = options.choose_comparison_path(picture_path)
+        if comparison_path and not (options.is_class and result.agrees):
+            titles = make_printable(picture_path.name), make_printable(reference_path.name)
+            images = picture.codes, reference.codes
+            _save_comparison(comparison_path, images, difference, titles)
+            result = result._replace(comparison=str(comparison_path))
+    has_page = options.html is not None
+    pair = make_pair(result, picture.codes, reference.codes, difference) if has_page else None
+    return Compared(result=result, pair=pair)
+
+
+def _diagnose(options: Options, picture: Picture, reference: Reference) -> Diagnosis:
+    """Find the mistakes in a picture, or the other scene of a folder that it shows exactly."""
     diagnosis = reference.diagnose(picture)
-    if diagnosis.kind in ("size", UNKNOWN) and options.reference.is_dir():
+    if diagnosis.kind in (WRONG_SIZE, UNKNOWN) and options.reference.is_dir():
         for name, codes in _load_all_codes(options.reference).items():
             if np.array_equal(codes, picture.codes):
-                diagnosis = make_verdict("other-scene", f"It is the picture of {name}.")
-    notes = ("It", picture.note), (reference_path.name, reference.picture.note)
-    sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
-    result = result._replace(diagnosis=diagnosis.prepend_text(" ".join(sentences)))
-    if picture.codes.shape != reference.codes.shape:
-        if not options.html:
-            return result, None
-        return result, make_pair(result, picture.codes, reference.codes, None)
-    ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)
-    agrees = diagnosis.kind in AGREEING_KINDS
+                return make_verdict(_OTHER_SCENE, f"It is the picture of {name}.")
+    return diagnosis
+
+
+def _add_metrics(
+    options: Options,
+    result: Result,
+    submitted_codes: Shaped[Codes, "height width 3"],
+    reference_codes: Shaped[Codes, "height width 3"],
+) -> tuple[Result, Shaped[Differences, "height width"]]:
+    """Add the metrics, and whether the pictures agree, to a result that has a diagnosis.
+
+    Return also the difference in linear light, positive where the submitted picture is brighter.
+    """
+    ssim, rmse, max_difference, difference = compare_codes(submitted_codes, reference_codes)
+    agrees = result.diagnosis is not None and result.diagnosis.kind in AGREEING_KINDS
+    # Tolerances that are given replace the diagnosis.
     if options.ssim is not None or options.max is not None:
-        agrees = (options.max is None or max_difference <= options.max) and (
-            options.ssim is None or ssim >= options.ssim
-        )
+        is_similar = options.ssim is None or ssim >= options.ssim
+        agrees = is_similar and (options.max is None or max_difference <= options.max)
     result = result._replace(
         agrees=agrees,
         ssim=ssim,
         rmse=rmse,
         max=max_difference,
-        differing=int((picture.codes != reference.codes).any(axis=2).sum()),
-        worst=find_worst_pixel(picture.codes, reference.codes),
+        differing=int((submitted_codes != reference_codes).any(axis=2).sum()),
+        worst=find_worst_pixel(submitted_codes, reference_codes),
     )
-    pair = make_pair(result, picture.codes, reference.codes, difference) if options.html else None
-    if options.output and not (options.is_class and agrees):
-        output_path = _choose_comparison_path(options, picture_path)
-        labels = make_printable(picture_path.name), make_printable(reference_path.name)
-        with errors_as_failure(output_path, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
-            output_path.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output_path, (picture.codes, reference.codes), difference, labels)
-        result = result._replace(comparison=str(output_path))
-    return result, pair
+    return result, difference
+
+
+def _save_comparison(
+    path: Path,
+    images: tuple[Shaped[Codes, "height width 3"], Shaped[Codes, "height width 3"]],
+    difference: Shaped[Differences, "height width"],
+    titles: tuple[str, str],
+) -> None:
+    """Write a comparison picture, creating its folder if necessary; raise Failure if it fails."""
+    with errors_as_failure(path, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_comparison(path, images, difference, titles)

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from reference.figures import Differences, amplify_difference
-from reference.handins.results import Result, list_mistake_counts, summarize_counts
+from reference.handins.results import UNREAD, Result, list_mistake_counts, summarize_counts
 from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
 
@@ -145,7 +145,7 @@ def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
         if not (result.student and result.scene):
             continue
         path, names = result.picture or "", unmatched_names[result.student]
-        text = "cannot be compared" if result.verdict == "unread" else result.verdict
+        text = "cannot be compared" if result.verdict == UNREAD else result.verdict
         if result.diagnosis and not result.agrees:
             text = result.diagnosis.summary or result.diagnosis.first_cause_text
         elif not path and names:

@@ -28,8 +28,12 @@ from reference.judges.arrays import Bools
 from reference.pictures import Codes, Picture, compare_levels, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
-AGREEING_KINDS = ("identical", "rounding", "format")
+IDENTICAL = "identical"
+"""Keyword of the diagnosis of a picture whose codes all equal those of the reference picture."""
+AGREEING_KINDS = (IDENTICAL, "rounding", "format")
 """Keywords of the diagnoses of right pictures."""
+WRONG_SIZE = "size"
+"""Keyword of the mistake that a picture has the wrong width or height."""
 UNKNOWN = "unknown"
 """Keyword of the diagnosis of a picture that no known mistake explains."""
 # Maximum number of surfaces, and of alternative causes, to name in a report.
@@ -174,8 +178,8 @@ class Reference:
                 sentence = self._get_renderer(*reference_size).mistakes[keyword].sentence
                 return diagnosis.add_mistake(keyword, sentence).prepend_text(size_sentence)
         if not self.scene:
-            return make_verdict("size", size_sentence)
-        return self._diagnose_pixels(picture).add_mistake("size", size_sentence)
+            return make_verdict(WRONG_SIZE, size_sentence)
+        return self._diagnose_pixels(picture).add_mistake(WRONG_SIZE, size_sentence)
 
     def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
         """Diagnose a submitted picture by comparing it with a reference picture of the same size.
@@ -373,7 +377,7 @@ def diagnose_agreement(
     differences = compare_levels(submitted_codes, reference_codes)
     count = int(np.count_nonzero(differences))
     if not count:
-        return make_verdict("identical", "The pictures are identical.")
+        return make_verdict(IDENTICAL, "The pictures are identical.")
     if count <= max(10, 0.01 * differences.size) and differences.max() == 1:
         sentence = f"{symptoms.format_count(count)} by one level: rounding, nothing to worry about."
         return make_verdict("rounding", sentence)

@@ -15,6 +15,15 @@ from typing import Any, NamedTuple
 from reference.handins.diagnosis import UNKNOWN, Diagnosis
 from tracer.messages import make_printable
 
+AGREES = "agrees"
+"""Verdict on a picture that is right, or within the tolerances of the user."""
+DIFFERS = "differs"
+"""Verdict on a picture that is wrong."""
+UNREAD = "unread"
+"""Verdict on a picture that could not be compared."""
+MISSING = "missing"
+"""Verdict on a picture that nobody has handed in."""
+
 
 class Result(NamedTuple):
     """The result for one submitted or missing picture."""
@@ -36,10 +45,10 @@ class Result(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """One word: "missing", "unread" (could not be compared), "agrees" or "differs"."""
+        """One word: `AGREES`, `DIFFERS`, `UNREAD` or `MISSING`."""
         if self.error:
-            return "unread" if self.picture else "missing"
-        return "agrees" if self.agrees else "differs"
+            return UNREAD if self.picture else MISSING
+        return AGREES if self.agrees else DIFFERS
 
     def to_row(self) -> dict[str, Any]:
         """Convert the result to a row of the JSON and CSV output: values by column name.
@@ -112,17 +121,17 @@ def summarize_counts(results: Sequence[Result]) -> str:
     )
     # For each verdict, the verb for one picture and for several.
     verbs = {
-        "agrees": ("agrees", "agree"),
-        "differs": ("differs", "differ"),
-        "unread": ("cannot be compared", "cannot be compared"),
-        "missing": ("is missing", "are missing"),
+        AGREES: ("agrees", "agree"),
+        DIFFERS: ("differs", "differ"),
+        UNREAD: ("cannot be compared", "cannot be compared"),
+        MISSING: ("is missing", "are missing"),
     }
     clauses = {
         verdict: f"{count} {verbs[verdict][count > 1]}"
         for verdict in verbs
         if (count := counts[verdict])
     }
-    missing_clause = clauses.pop("missing", "")
+    missing_clause = clauses.pop(MISSING, "")
     picture_count = sum(counts[verdict] for verdict in clauses)
     summary = f"{picture_count} {'picture' if picture_count == 1 else 'pictures'}"
     summary += f": {', '.join(clauses.values())}" if clauses else ""
