@@ -260,7 +260,7 @@ def test_a_mistake_in_few_pixels_is_found_with_truncated_levels() -> None:
     """Missing highlights show in few pixels; some levels are lower by one more."""
     source = student.source_with("specular-none", "levels-truncated")
     source = source.replace("(i + 0.5)", "i").replace("(j + 0.5)", "(j + 1)")
-    name = "sticks-axonometric"
+    name = "four-spheres"
     codes = student.render_with_source(source, scene(name))
     few = np.random.default_rng(1).random(codes.shape[:2]) < 0.01
     codes[few] -= codes[few] > 0

@@ -1,27 +1,23 @@
 """The grader says nothing false of mistakes that it does not know, and tells symptoms in words."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import student
 from PIL import Image
-from test_handins import scene
+from test_handins import reference, scene
 
-from reference.handins.diagnosis import Diagnosis, Reference
+from reference.handins.diagnosis import Diagnosis
 from reference.pictures import Codes, Picture
 from tracer import render, to_codes
 
 
 def diagnose_changed(name: str, *changes: tuple[str, str]) -> Diagnosis:
-    """Diagnose a small picture of the student's tracer after changes of its source."""
-    small = replace(scene(name), width=scene(name).width // 2, height=scene(name).height // 2)
+    """Diagnose a picture of the student's tracer after changes of its source."""
     source = student.SOURCE
     for old, new in changes:
         assert old in source
         source = source.replace(old, new)
-    codes = student.render_with_source(source, small)
-    return Reference(small, f"{name}.xml").diagnose(Picture(codes))
+    return reference(name).diagnose(Picture(student.render_with_source(source, scene(name))))
 
 
 @pytest.mark.parametrize("name", ["two-boxes", "one-box"])
@@ -144,7 +140,7 @@ SYMPTOMS = {
     ),
     "tiles": (blacken_tiles, "except that 2 tiles of 16 x 16 pixels are black."),
     "scaled": (
-        lambda a: np.asarray(Image.fromarray(a).resize((90, 60))),
+        lambda a: np.asarray(Image.fromarray(a).resize((90, 90))),
         "It is the right picture, scaled.",
     ),
     "palette": (
@@ -157,13 +153,12 @@ SYMPTOMS = {
 @pytest.mark.parametrize("kind", SYMPTOMS)
 def test_symptoms_are_told(kind: str) -> None:
     change, text = SYMPTOMS[kind]
-    small = replace(scene("room"), width=120, height=80)
-    reference = Reference(small, "room.xml")
-    diagnosis = reference.diagnose(Picture(change(reference.codes.copy())))
+    diagnosis = reference("highlights").diagnose(
+        Picture(change(reference("highlights").codes.copy()))
+    )
     assert text in str(diagnosis)
 
 
 def test_antialiased_pictures_are_told() -> None:
-    small = replace(scene("room"), width=120, height=80)
-    codes = to_codes(render(small, samples=64))
-    assert Reference(small).diagnose(Picture(codes)).kind == "smoothed"
+    codes = to_codes(render(scene("highlights"), samples=64))
+    assert reference("highlights").diagnose(Picture(codes)).kind == "smoothed"
