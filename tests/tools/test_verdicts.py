@@ -160,5 +160,5 @@ def test_symptoms_are_told(kind: str) -> None:
 
 
 def test_antialiased_pictures_are_told() -> None:
-    codes = to_codes(render(scene("highlights"), samples=64))
-    assert reference("highlights").diagnose(Picture(codes)).kind == "smoothed"
+    codes = to_codes(render(scene("one-box"), samples=64))
+    assert reference("one-box").diagnose(Picture(codes)).kind == "smoothed"
