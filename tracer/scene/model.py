@@ -458,7 +458,7 @@ class Surfaces(Sequence[Sphere | Box]):
         for kind, columns in self.tables.items():
             # One row for each surface, also if the field is a single number.
             rows = {name: np.atleast_2d(column.T).T for name, column in columns.items()}
-            for index, name, message in schema.find_errors(kind, rows):
+            for index, name, message in schema.find_field_errors(kind, rows):
                 yield self.file_index.item(first_index + index), f"{name}: {message}"
             first_index += self.counts[kind]
 

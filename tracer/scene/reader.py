@@ -1,9 +1,8 @@
 """Read a scene file into a :class:`~tracer.scene.model.Scene`.
 
 The elements of the file become rows of tables, one table for each dataclass.  The numbers in the
-tables are validated at the end, in arrays.  Each error is reported in a separate line, as
-``FILE:LINE: element: what is wrong; suggested fix``.  Reading ends early at a syntax error, at a
-limit, or after `MAX_ERRORS` errors.
+tables are validated at the end, in arrays.  Errors are collected, so that one message reports all
+of them.  Reading ends early at a syntax error, at a limit, or after `MAX_ERRORS` errors.
 """
 
 from __future__ import annotations
@@ -33,10 +32,11 @@ from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import NumberValidator, SceneError
 from tracer.scene.tables import Table, parse_numbers
 
-# Maximum number of undefined shaders for which similar names are searched: milliseconds for each.
+# Maximum number of undefined shaders for which a similar name is searched for.  A search takes
+# milliseconds.
 _MAX_SEARCHES = 32
 
-# Maximum number of words that are checked one by one in an element with invalid numbers.
+# In an element with invalid numbers, at most this many words are checked one by one.
 _MAX_CHECKED_WORDS = 64
 
 # Matches a width and a height, with few enough digits for int().
@@ -90,11 +90,7 @@ def load_scene(source: FileOrPath) -> Scene:
     except FatalError as error:
         reader.errors.append(error.args)
     except OSError as error:
-        reason = error.strerror or str(error)
-        remedy = "check the path and its permissions"
-        if isinstance(error, FileNotFoundError) and os.path.isfile(f"{file_name}.xml"):
-            remedy = f"did you mean {file_name}.xml?"
-        reader.errors.append((0, f"cannot be read: {reason}; {remedy}"))
+        reader.errors.append((0, _explain_unreadable_file(error, file_name)))
     if not reader.errors:
         return reader.make_scene()
     # `make_printable` escapes line breaks and control characters, which may come from the file.
@@ -104,13 +100,29 @@ def load_scene(source: FileOrPath) -> Scene:
     )
 
 
+def _explain_unreadable_file(error: OSError, path: str) -> str:
+    """Return an error message, with a suggested fix, for a file that cannot be read."""
+    remedy = "check the path and its permissions"
+    if isinstance(error, FileNotFoundError) and os.path.isfile(f"{path}.xml"):
+        remedy = f"did you mean {path}.xml?"
+    return f"cannot be read: {error.strerror or str(error)}; {remedy}"
+
+
 class _Reader(ErrorCollector):
-    """A reader of one scene file: it collects the elements in tables, then creates the scene."""
+    """A reader of one scene file.
+
+    `read` collects the elements of the file in tables, and all errors in `errors`.  If there are no
+    errors, `make_scene` then creates the scene.
+
+    All shaders of the file are numbered together, in the order in which the reader meets them: a
+    named shader at its definition or at the first reference to it, whichever comes first.  Shader 0
+    is the default, white.
+    """
 
     # The root, and the first <camera> and <image>, by their tags.
     unique_elements: dict[str, Element]
-    # Tags that were probably meant by unknown tags.  Elements with an intended tag are not reported
-    # as missing.
+    # Tags of the root's children that were probably meant by unknown tags; None for an unclear one.
+    # Elements with these tags are not reported as missing.
     intended_tags: set[str | None]
     empty_scene: Scene  # has the size of the picture
     cameras: Table  # one row in a valid file
@@ -119,10 +131,9 @@ class _Reader(ErrorCollector):
     shader_tables: dict[str, Table]
     surface_tables: dict[str, Table]
     surface_counter: Iterator[int]  # yields the index of the next surface
-    # A named shader gets its index at its first reference or at its definition.
-    index_of_name: dict[str, int]
-    # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0 is
-    # the default, white; it counts as defined on line 1.
+    index_of_name: dict[str, int]  # of all named shaders
+    # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0
+    # counts as defined on line 1.
     definition_lines: array[int]
 
     def __init__(self) -> None:
@@ -139,9 +150,10 @@ class _Reader(ErrorCollector):
         self.definition_lines = array("i", [1])
 
     def read(self, file: IO[bytes]) -> None:
-        """Read a scene file into the tables; errors are added to `errors`.
+        """Read a whole scene file into the tables, and add the errors that it contains to `errors`.
 
-        Raise FatalError if the rest of the file cannot be read.
+        Raise FatalError if the rest of the file cannot be read; `errors` then contains the errors
+        before this place.
         """
         try:
             Parser(self.read_element, self.report_at).parse(file)
@@ -153,9 +165,10 @@ class _Reader(ErrorCollector):
         self.report_undefined_shaders()
 
     def read_element(self, element: Element) -> None:
-        """Read the root, which has no children yet, or a complete child of the root.
+        """Read an element that `Parser` passes on: the root alone, or a child of the root.
 
-        A valid child other than <image> becomes a row in a table.
+        A camera, a light, a shader or a surface becomes a row of a table.  Raise FatalError if the
+        root is not the root of a scene file.
         """
         tag = element.tag
         if tag == "surface" and self.unique_elements:
@@ -189,12 +202,13 @@ class _Reader(ErrorCollector):
         self.unique_elements["scene"] = element
 
     def check_uniqueness(self, element: Element) -> None:
+        """Report an error if the file contains an earlier element with this element's tag."""
         original = self.unique_elements.setdefault(element.tag, element)
         if original is not element:
             self.report_duplicate(element, original)
 
     def read_image(self, element: Element) -> None:
-        """Read the size of the picture, and store it in `empty_scene`."""
+        """Read the size of the picture from <image>, and store it in `empty_scene`."""
         self.match_children(element, {})
         match = _match_size(element.text)
         if match is None:
@@ -209,9 +223,9 @@ class _Reader(ErrorCollector):
                 self.report(element, message)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table for its type.
+        """Add a <surface> to the table for its type.
 
-        The surface may contain a shader, or a reference to a shader, which may be defined later.
+        The surface may contain a shader, or a reference to a shader that is defined later.
         """
         table = self.surface_tables.get(element.attrib.get("type", ""))
         if table is None:
@@ -232,7 +246,10 @@ class _Reader(ErrorCollector):
             table.shader_lines.append(shader.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table for its type, and return its index among all shaders."""
+        """Add the definition of a shader to the table for its type, and return its shader index.
+
+        Report an error if the type is unknown, or an earlier shader has its name.
+        """
         table = self.shader_tables.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
         index = self.find_or_add_shader(name)
@@ -249,9 +266,10 @@ class _Reader(ErrorCollector):
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
-        """Read the <shader> inside a surface: a definition, or a reference by the attribute `ref`.
+        """Read the <shader> inside a surface, and return its shader index.
 
-        Return the index of the shader among all shaders.
+        The element is a definition, or a reference to the shader whose name is in the attribute
+        `ref`.
         """
         name = element.attrib.get("ref")
         if name is not None:
@@ -266,9 +284,10 @@ class _Reader(ErrorCollector):
         return self.find_or_add_shader(name)
 
     def find_or_add_shader(self, name: str | None) -> int:
-        """Return the index of the shader with a name.
+        """Return the index of the shader with a name, or a new index.
 
-        If the name is new or None, the shader gets the next free index.
+        If the name has not occurred yet, or is None because the shader has no name, the next free
+        index is assigned to the shader.
         """
         new_index = len(self.definition_lines)
         index = new_index if name is None else self.index_of_name.setdefault(name, new_index)
@@ -277,10 +296,10 @@ class _Reader(ErrorCollector):
         return index
 
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Read a camera, light, shader or surface into a new row of a table.
+        """Read a camera, a light, a shader or a surface into a new row of a table.
 
-        `attributes` are the names of the attributes that the element may have.  Return the child
-        elements that give the values of fields, by the names of the fields.
+        `attributes` are the names of the attributes that the element may have.  Return the children
+        of the element, by the names of the fields that they define.
         """
         children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
@@ -298,13 +317,24 @@ class _Reader(ErrorCollector):
     def match_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Match the children of an element to dataclass fields by tag.
+        """Find which field of a dataclass each child of an element defines.
 
-        `attributes` are the names of the attributes that the element may have.  Unknown attributes,
-        and unknown and duplicate children, are reported as errors.
+        Report unknown attributes, unknown children, and children that define the same field.
 
-        Return the children by the names of their fields, and the names that were probably meant by
-        unknown attributes and tags, with None if one is unclear.
+        Parameters
+        ----------
+        field_of_tag
+            The name of the field that a child defines, by the tag of the child.
+        attributes
+            The names of the attributes that the element may have.
+
+        Returns
+        -------
+        children
+            The children, by the names of their fields.
+        intended_names
+            The names that were probably meant by unknown attributes and tags; None for an unclear
+            one.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -321,10 +351,10 @@ class _Reader(ErrorCollector):
         return children, intended_names
 
     def read_numbers(self, element: Element, validator: NumberValidator) -> list[float]:
-        """Read the numbers in an element such as <center>.
+        """Read as many numbers as the validator needs from an element such as <center>.
 
-        The numbers are validated later.  If a word is not a number, or the count of numbers is
-        wrong, the error is reported, and all numbers of the result are NaN.
+        Report an error if a word is not a number, or the count is wrong; then return NaN for each
+        number.  The validator's rules are checked later, by `report_invalid_numbers`.
         """
         if element or element.attrib:  # children and attributes are errors here
             self.match_children(element, {})
@@ -339,13 +369,13 @@ class _Reader(ErrorCollector):
             self.report(element, f"{validator.requirement}, but has {len(words)}")
         return [np.nan] * validator.number_count
 
-    # From tables to a scene
+    # Called when no more elements are read
 
     def report_invalid_numbers(self) -> None:
         """Report invalid and contradictory numbers in all tables."""
         tables = self.cameras, self.lights, *(self.shader_tables | self.surface_tables).values()
         for table in tables:
-            for line, tag, message in table.find_errors():
+            for line, tag, message in table.locate_errors():
                 self.report_at(line, tag, message)
 
     def report_missing_elements(self) -> None:
@@ -356,7 +386,7 @@ class _Reader(ErrorCollector):
                 self.report(self.unique_elements["scene"], message)
 
     def report_undefined_shaders(self) -> None:
-        """Report each reference to an undefined shader, after the whole file has been read."""
+        """Report each reference to a shader that is defined nowhere in the file."""
         definition_lines = self.definition_lines  # 0 for undefined shaders
         if 0 not in definition_lines:
             return
@@ -387,7 +417,7 @@ class _Reader(ErrorCollector):
                 self.report_at(reference_line, "shader", message)
 
     def make_scene(self) -> Scene:
-        """Create the scene from the tables, after the whole file has been read without errors."""
+        """Create the scene from the tables.  The whole file must have been read without errors."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shader_tables.values():
             for index, shader in zip(table.object_indices, table.make_objects(), strict=True):

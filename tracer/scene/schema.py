@@ -1,15 +1,15 @@
 """Validate the values of a scene.
 
-The metadata of each dataclass field contain its *validator*, a function of a value and the name of
-the field, which returns the value to store or raises `SceneError`.  The same rules validate the
-fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in a scene file.
+The parts of a scene are dataclasses.  The metadata of each field contain its *validator*, a
+function of a value and the name of the field.  It returns the value to store, or raises
+`SceneError`.
 
-Three functions find errors in numbers: `NumberValidator.find_errors` finds values of one field that
-violate its rules; `Validated.find_conflicts` finds objects whose fields are valid, one by one, but
-contradict each other; and `find_errors` finds both kinds of errors in all fields of a class.
-
-The *rows* of a numeric field are its values in n objects: one row of numbers for each object.  A
-row of NaN stands for a missing value.
+The same rules validate one object, the arrays of `Surfaces`, and the tables of a scene file.
+Numbers are therefore checked as the *rows* of a field: its values in n objects, one row of numbers
+for each object.  A row of NaN stands for a missing value.  Two kinds of errors are found: a row
+that violates a rule of its field (`NumberValidator.find_invalid_rows`), and an object whose fields
+are valid, each on its own, but contradict each other (`Validated.find_conflicts`).
+`find_field_errors` finds both in all fields of a class.
 """
 
 from __future__ import annotations
@@ -66,16 +66,16 @@ class SceneError(ValueError):
 
 
 def raise_if_any(lines: Iterable[str]) -> None:
-    """Raise a `SceneError` with these lines as its message, unless there are none."""
+    """Raise a `SceneError` with these lines as its message; do nothing if there are none."""
     if message_lines := tuple(lines):
         raise SceneError(message_lines)
 
 
 class FieldError(NamedTuple):
-    """An error in a field of one of n objects."""
+    """An error in a field of one object."""
 
-    row: int  # index of the object, from 0 to n - 1
-    name: str
+    row: int  # index of the object among those that were checked
+    name: str  # of the field
     message: str  # what is wrong, without the name of the field
 
 
@@ -85,7 +85,7 @@ _Validator: TypeAlias = Callable[[Any, str], Any]
 def tag_field(validator: _Validator, *tags: str) -> dict[str, Any]:
     """Create the metadata of a dataclass field: its validator, and its XML tags.
 
-    Any of the tags is read in a scene file; the first one is written.
+    A scene file may contain any of the tags.  `save_scene` writes the first one.
     """
     return {"validator": validator, "tags": tags}
 
@@ -94,18 +94,20 @@ class Validated:
     """A base class of frozen dataclasses that validate their fields, one by one and then together.
 
     A subclass gives each field a validator with `tag_field`, and overrides `find_conflicts` if
-    valid values can contradict each other.  The constructor raises `SceneError` for invalid values.
+    values that are valid on their own can contradict each other.  Its constructor takes keywords
+    only, and raises one `SceneError` that lists all invalid values.
     """
 
     __slots__ = ("__weakref__",)
 
-    # The constructor that @dataclass generates would report values by position with a message about
-    # counts of arguments.  `__new__` runs before it, and says which names are needed.  It is hidden
-    # from type checkers, which compare calls with the fields, because it accepts any arguments.
+    # Python passes the arguments of a call to `__new__`, and then to the `__init__` that @dataclass
+    # generates.  If values are given by position, `__init__` would only say how many arguments it
+    # takes, so `__new__` raises an error that lists the keywords.  Type checkers must not see
+    # `__new__`: as it accepts any arguments, they would no longer compare calls with the fields.
     if not TYPE_CHECKING:
 
         def __new__(cls, *args: object, **_values: object) -> Any:
-            """Create an instance, or tell a caller who gives values by position to name them."""
+            """Create an instance; raise TypeError, with all keywords, for values by position."""
             if args:
                 names = [field.name for field in fields(cls) if "validator" in field.metadata]
                 keywords = ", ".join(f"{name}=..." for name in names)
@@ -115,14 +117,17 @@ class Validated:
     def __post_init__(self: Any) -> None:
         lines: list[str] = []
         for field in fields(self):
-            validate, value = field.metadata.get("validator"), getattr(self, field.name)
-            # None means "not given" where it is the default; elsewhere, it is an invalid value.
+            validate = field.metadata.get("validator")
+            value = getattr(self, field.name)
+            # A field whose default is None may be omitted.  In all others, None is an error.
             is_omitted = value is None and field.default is None
-            if validate is not None and not is_omitted:
-                try:
-                    object.__setattr__(self, field.name, validate(value, field.name))
-                except SceneError as error:
-                    lines += error.lines
+            if validate is None or is_omitted:
+                continue
+            try:
+                # The instance is frozen, so `setattr` would fail.
+                object.__setattr__(self, field.name, validate(value, field.name))
+            except SceneError as error:
+                lines += error.lines
         raise_if_any(lines)
 
         def get_row(name: str) -> Floats:
@@ -132,17 +137,18 @@ class Validated:
 
     @classmethod
     def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterable[FieldError]:
-        """Find objects whose values are valid individually but contradict each other: here, none.
+        """Find objects whose fields contradict each other.  This default finds none.
 
-        `get_rows` returns the rows of a field by its name.
+        `get_rows` takes the name of a field, and returns an array with one row of numbers for each
+        object.  It may contain rows that violate the rules of the field, which are reported anyway.
         """
         return ()
 
 
 def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instance:
-    """Create an instance of a frozen dataclass from values of all fields, which must be valid.
+    """Create an instance of a frozen dataclass without calling its constructor.
 
-    The constructor is not called, because it would validate the values again.
+    This saves validating the values again.  `values` must contain a valid value for each field.
     """
     instance = object.__new__(dataclass)
     for name, value in values.items():
@@ -151,9 +157,9 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
 
 
 class _Rule(NamedTuple):
-    """A property that numbers must have."""
+    """A rule that the numbers in each row of a field must obey."""
 
-    find_invalid: Callable[[Floats], Bools]  # tests all numbers of some rows
+    find_invalid: Callable[[Floats], Bools]  # takes rows, and tells which numbers violate the rule
     message: str  # in which {} stands for the invalid number
 
 
@@ -169,9 +175,9 @@ _NOT_ZERO = _Rule(lambda x: (x == 0) & ~x.any(axis=1, keepdims=True), "must not 
 
 
 class NumberValidator:
-    """The validator of a field that consists of `number_count` numbers, such as a point."""
+    """The validator of a field that consists of one or several numbers, such as a point."""
 
-    number_count: int
+    number_count: int  # in each row
     rules: tuple[_Rule, ...]
     requirement: str  # the count as a phrase for messages: "needs 3 numbers"
 
@@ -181,33 +187,36 @@ class NumberValidator:
         self.requirement = f"needs {number_count} number{'s' * (number_count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
-        """Validate the value of a field, and convert it to a tuple of floats, or to one float.
+        """Validate the value of the field in one object, and return the value to store.
 
-        Raise `SceneError` if the value is invalid.
+        That is a tuple of floats, or a float if `number_count` is 1.  Raise `SceneError` if the
+        value has the wrong type or shape, or violates a rule.
         """
         array = _copy_floats(value, name)
         if array.size != self.number_count or array.ndim > 1:
             shape_or_size = f"shape {array.shape}" if array.ndim > 1 else array.size
             raise SceneError([f"{name}: {self.requirement}, but has {shape_or_size}"])
         row = array.reshape(1, self.number_count)
-        raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
+        raise_if_any(f"{name}: {message}" for _, message in self.find_invalid_rows(row))
         return tuple(row[0].tolist()) if self.number_count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Shaped[Floats, "n ..."]:
-        """Copy the rows of a field into an array, which is one-dimensional if a row is one number.
+        """Copy the rows of the field into an array: (n, number_count), or (n,) for one number.
 
-        Only the shape and the type are checked here, and `SceneError` is raised if they are wrong;
-        `find_errors` checks the numbers themselves.
+        Raise `SceneError` if the values have the wrong type or shape.  The rules are not checked:
+        see `find_invalid_rows`.
         """
         array = _copy_floats(values, name)
         if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):
             raise SceneError([f"{name}: {self.requirement} per row, but has shape {array.shape}"])
         return array.reshape((-1, self.number_count) if self.number_count > 1 else -1)
 
-    def find_errors(self, rows: Shaped[Floats, "n number_count"]) -> Iterator[tuple[int, str]]:
-        """Find rows that violate a rule, and yield their index and what is wrong.
+    def find_invalid_rows(
+        self, rows: Shaped[Floats, "n number_count"]
+    ) -> Iterator[tuple[int, str]]:
+        """Yield the index of each row that violates a rule, and what is wrong.
 
-        Only the first rule that a row violates is reported.
+        If a row violates several rules, the first of these is reported.
         """
         message_of_row: dict[int, str] = {}
         for rule in self.rules:
@@ -228,25 +237,28 @@ EXPONENT = NumberValidator(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def get_number_validators(dataclass: Any) -> dict[str, NumberValidator]:
-    """Return the validators of all fields that consist of numbers, by the name of the field."""
+    """Return the validator of each field of a dataclass that consists of numbers, by its name."""
     items = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
     return {name: validator for name, validator in items if isinstance(validator, NumberValidator)}
 
 
-def find_errors(
-    dataclass: type[Validated], field_arrays: Mapping[str, Shaped[Floats, "n number_count"]]
+def find_field_errors(
+    dataclass: type[Validated], field_rows: Mapping[str, Shaped[Floats, "n number_count"]]
 ) -> Iterator[FieldError]:
-    """Find invalid and contradictory numbers in objects of one class, given the rows of fields."""
+    """Find invalid and contradictory numbers in n objects of one class.
+
+    `field_rows` contains an array for each numeric field, by its name, with a row for each object.
+    """
     for name, validator in get_number_validators(dataclass).items():
-        for index, message in validator.find_errors(field_arrays[name]):
+        for index, message in validator.find_invalid_rows(field_rows[name]):
             yield FieldError(row=index, name=name, message=message)
-    yield from dataclass.find_conflicts(field_arrays.__getitem__)
+    yield from dataclass.find_conflicts(field_rows.__getitem__)
 
 
 def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
-    """Copy whole numbers, which may be floats, into a one-dimensional int array.
+    """Copy whole numbers into a one-dimensional int array; they may be floats such as 3.0.
 
-    Raise `SceneError` if a number is not whole.
+    Raise `SceneError`, with the name, if a value is not a number, or not whole.
     """
     floats = _copy_floats(values, name).ravel()
     with np.errstate(invalid="ignore"):
@@ -259,8 +271,8 @@ def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
 def validate_picture_side(value: int, name: str) -> int:
     """Validate the width or height of a picture, and convert it to a Python int.
 
-    The conversion is necessary, because products of NumPy integers may overflow.  Raise
-    `SceneError` if the value is invalid.
+    The conversion is necessary because products of NumPy integers may overflow.  Raise
+    `SceneError`, with the name, unless the value is an integer from 1 to `MAX_PIXELS`.
     """
     try:
         side = int(operator.index(value))
@@ -274,7 +286,10 @@ def validate_picture_side(value: int, name: str) -> int:
 
 
 def require_list(*types: type) -> _Validator:
-    """Return a validator of iterables whose items have one of these types; it returns a tuple."""
+    """Return a validator of iterables whose items must have one of these types.
+
+    The validator stores the items as a tuple.
+    """
     allowed_types = " or ".join(allowed_type.__name__ for allowed_type in types)
 
     def validate(values: Iterable[object], name: str) -> tuple[object, ...]:
@@ -292,13 +307,16 @@ def require_list(*types: type) -> _Validator:
 
 
 def require_type(*types: type) -> _Validator:
-    """Return a validator of objects that have one of these types."""
+    """Return a validator of objects that must have one of these types; it stores the object."""
     validate_list = require_list(*types)
     return lambda value, name: validate_list([value], name)[0]
 
 
 def _copy_floats(value: ArrayLike, name: str) -> Shaped[Floats, "..."]:
-    """Copy real numbers into a float64 array of the same shape, or raise `SceneError`."""
+    """Copy real numbers into a float64 array of the same shape.
+
+    Raise `SceneError`, with the name, if they are not real numbers, or too large for float64.
+    """
     try:
         array = np.asarray(value)
         # NumPy would parse text, convert None and times to NaN, and drop imaginary parts.
