@@ -1,4 +1,4 @@
-"""End the child processes that `multiprocessing` has started, stopped ones, too."""
+"""End the child processes that `multiprocessing` has started, even if they are stopped."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from time import monotonic
 
 
 def terminate_children() -> None:
-    """Send SIGTERM to all child processes, and let stopped ones go on, so that they receive it.
+    """Send SIGTERM to all child processes, and SIGCONT, so that stopped ones receive it.
 
-    A worker then removes its part files (see `tracer.files`), as soon as its current operation on
-    arrays is finished, and ends.
+    This does not wait for their end.  A worker of a command first finishes its current operation on
+    arrays, and deletes its temporary files.
     """
     # Not imported: without the module there are no children, and importing it takes milliseconds.
     multiprocessing = sys.modules.get("multiprocessing")
@@ -25,12 +25,16 @@ def terminate_children() -> None:
 
 
 def end_children(max_seconds: float) -> None:
-    """Terminate all child processes, and kill those that still run after the given time."""
+    """Terminate all child processes, and kill those that then do not end in time.
+
+    Wait at most `max_seconds` until all have ended by themselves, and then at most as long for each
+    child that is killed.
+    """
     import multiprocessing
 
     terminate_children()
     deadline = monotonic() + max_seconds
     for child in multiprocessing.active_children():
         child.join(max(0.0, deadline - monotonic()))
-        child.kill()  # nothing happens if it has ended
+        child.kill()  # does nothing if the child has ended
         child.join(max_seconds)

@@ -2,11 +2,12 @@
 
 A new file gets its name only when it is complete.  Until then it has no name at all, so that it
 vanishes when its process ends for any reason.  Some systems and file systems have no nameless files
-(NFS, FAT and FUSE, for example).  There, and for a moment before a file replaces another, it has a
-temporary name: it is a *part file*, which is removed if the process ends early.
+(NFS, FAT and FUSE, for example).  There, and for a moment before a file replaces another, it is a
+*part file*: a file with a temporary name.
 
-A process that is killed cannot remove its part files.  If it is a worker, the command's main
-process does: see `share_folders`.
+`remove_part_files` deletes part files if a process ends early.  A process that is killed cannot
+call it.  If this process was a worker, the main process of the command deletes its part files.  It
+recognises them by a prefix that the part files of all its processes have.
 """
 
 from __future__ import annotations
@@ -19,21 +20,26 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
 
-# Both by the id of the process to which they belong: a forked worker inherits those of its parent,
-# and must not remove them.
-_part_files = defaultdict[int, set[str]](set)  # paths that part files have, or will have
-_shared_folders = defaultdict[int, set[str]](set)
+# Paths that part files have, or may get, and folders in which workers write results.  Both are
+# stored by the id of the process that uses them, because a forked worker inherits those of its
+# parent, and must not delete the parent's part files.
+_part_files = defaultdict[int, set[str]](set)
+_result_folders = defaultdict[int, set[str]](set)
 
+# Each command chooses its own prefix, so that it leaves the part files of other commands alone.
 _part_prefix = f".{os.urandom(8).hex()}-"
 
 
 def get_part_prefix() -> str:
-    """Return the beginning of the names of part files: other commands have other ones."""
+    """Return the prefix of the names of all part files that this command writes."""
     return _part_prefix
 
 
 def set_part_prefix(prefix: str) -> None:
-    """Begin the names of part files as the main process does, in a worker that is no fork of it."""
+    """Set the prefix of the names of part files to that of the main process.
+
+    Every worker must call this, because a worker that is not a fork has chosen another prefix.
+    """
     global _part_prefix
     _part_prefix = prefix
 
@@ -46,7 +52,8 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     permissions of the old file.  After an error in the block, the new file is deleted, and the file
     at `path` is unchanged.  If `path` is a symbolic link, the target of the link is replaced.
 
-    The attribute `name` of the file is its temporary path or, on Linux, a file descriptor.
+    The attribute `name` of the file is its temporary path or, if it has no name yet, its
+    descriptor.
 
     Parameters
     ----------
@@ -73,9 +80,7 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     try:
         with _create_temporary_file(folder, part_path) as file:
             yield file
-            if not os.fstat(file.fileno()).st_nlink:
-                descriptor_path = f"/proc/self/fd/{file.fileno()}"
-                os.link(descriptor_path, part_path, src_dir_fd=0, follow_symlinks=True)
+            _name_file(file, part_path)
         if old_mode is not None:
             os.chmod(part_path, stat.S_IMODE(old_mode))
         os.replace(part_path, target_path)
@@ -83,6 +88,7 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         if isinstance(error, OSError) and error.filename == part_path:
             error.filename = target_path
             if isinstance(error, FileNotFoundError) and not os.path.lexists(folder):
+                # Name the folder as the caller does, unless `path` is a link to another folder.
                 given_folder = "" if os.path.islink(path) else os.path.dirname(path)
                 error.strerror = f"the folder {given_folder or folder} does not exist"
         with suppress(OSError):
@@ -93,9 +99,10 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
 
 
 def _check_old_file(path: str, magic: bytes) -> int | None:
-    """Check that the file at a path may be replaced, and return its mode; None if there is none.
+    """Check that the file at a path may be replaced; return its mode, or None if there is no file.
 
-    For `magic` and the errors, see `open_atomically`.
+    Raise OSError if it is not a regular file, or not writable.  Raise FileExistsError if it is not
+    empty, and does not begin with `magic`.
     """
     old_mode: int | None = None
     with suppress(FileNotFoundError):
@@ -110,30 +117,41 @@ def _check_old_file(path: str, magic: bytes) -> int | None:
 
 
 def _create_temporary_file(folder: str, fallback_path: str) -> IO[bytes]:
-    """Create a file without a name or, if the system has no such files, at the fallback path."""
+    """Open a new file for writing that has no name or, if this is impossible, the fallback path."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # some file systems do not support unnamed files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
     return open(fallback_path, "xb")
 
 
-def share_folders(paths: Iterable[str]) -> None:
-    """Let `remove_part_files` remove the part files of workers, too, from the folders of results.
+def _name_file(file: IO[bytes], path: str) -> None:
+    """Give a file this path if it has no name."""
+    if not os.fstat(file.fileno()).st_nlink:
+        # Only linkat(2) can follow the link to a file without a name, and Python calls it only if
+        # `src_dir_fd` is given.  Its value does not matter, because the path is absolute.
+        descriptor_path = f"/proc/self/fd/{file.fileno()}"
+        os.link(descriptor_path, path, src_dir_fd=0, follow_symlinks=True)
 
-    The workers are processes that this process starts, and that write the results at these paths.
+
+def register_result_folders(result_paths: Iterable[str]) -> None:
+    """Tell `remove_part_files` in which folders workers of this process write results.
+
+    `result_paths` are the paths of these results.  Call this before the workers begin to write.
     """
-    _shared_folders[os.getpid()] |= {os.path.dirname(os.path.realpath(path)) for path in paths}
+    folders = {os.path.dirname(os.path.realpath(path)) for path in result_paths}
+    _result_folders[os.getpid()] |= folders
 
 
 def remove_part_files() -> None:
-    """Delete the part files of this process, and those of its workers (see `share_folders`).
+    """Delete the part files of this process, and those that its workers have left behind.
 
-    Call this only when nothing is being written: before this process ends, or after its workers
-    have.  A file that cannot be deleted is skipped.
+    Part files of workers are searched for in the folders that `register_result_folders` was given.
+    Call this only when no result is being written: when this process is about to end, or after its
+    workers have ended.  A file that cannot be deleted is skipped.
     """
     process_id = os.getpid()
     paths = [*_part_files[process_id]]  # a copy, because another thread may change the set
-    for folder in _shared_folders[process_id]:
+    for folder in _result_folders[process_id]:
         with suppress(OSError), os.scandir(folder) as entries:
             paths += [entry.path for entry in entries if entry.name.startswith(_part_prefix)]
     for path in paths:

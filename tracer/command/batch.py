@@ -32,9 +32,9 @@ from tracer.command.progress import Progress, format_pixel_count
 from tracer.files import (
     get_part_prefix,
     open_atomically,
+    register_result_folders,
     remove_part_files,
     set_part_prefix,
-    share_folders,
 )
 from tracer.messages import make_printable
 from tracer.picture.linear import (
@@ -185,7 +185,7 @@ class Batch:
         self._finished_count = self._pixel_count = 0
         self._job_count = len(jobs)
         has_succeeded = True
-        self._unshared_paths = [job.output_path for job in jobs]  # see `share_folders`
+        self._unshared_paths = [job.output_path for job in jobs]  # see `register_result_folders`
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution.process(items), strict=True):
                 self._finished_count += 1
@@ -230,7 +230,7 @@ class Batch:
 
     def _use_workers(self) -> None:
         """Start submitting items to the workers."""
-        share_folders(self._unshared_paths)
+        register_result_folders(self._unshared_paths)
         self._unshared_paths.clear()
         self._distribution.executor = self._pool
 
