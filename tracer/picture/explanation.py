@@ -1,7 +1,8 @@
 """Explain a pixel: list the numbers from which its colour is computed.
 
-The numbers come from the functions that render pictures.  A single ray is traced, and its hit is
-shaded twice: by all lights together, as in a picture, and by each light alone.
+The numbers come from the functions that render pictures.  A single ray is traced, and its hit (the
+point where it first meets a surface) is shaded twice: by all lights together, as in a picture, and
+by each light alone.
 
 In the text of an explanation, n is the normal of the hit, l the direction to a light, and h the
 half vector; kd and ks are the diffuse and specular colours of the surface.
@@ -35,7 +36,7 @@ __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
 
 @dataclass(frozen=True)
 class SurfaceRef:
-    """A reference to a surface of a scene, which shows where the file defines the surface.
+    """A surface of a scene, given by its index, and the line of the file that defines it.
 
     ``str(ref)`` is, for example, "Sphere 0 (line 12)".
 
@@ -166,10 +167,16 @@ class Explanation:
         yield f"codes     {' '.join(map(str, self.codes))}"
 
     def _format_light_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
-        """Yield the cosines and occluders of a light; then, unless it is blocked, its two terms."""
-        other_names = [str(ref) for ref in light.occluders if ref != self.surface]
-        blockers = other_names or ["the surface itself"] * len(light.occluders)
-        outcome = f"blocked by {', '.join(blockers)}" if blockers else "reaches the point"
+        """Yield a line about the light; then, if it reaches the point, one for each of its terms.
+
+        The first line states the cosines n.l and n.h, and what blocks the light.
+        """
+        occluder_names = [
+            "the surface itself" if surface == self.surface else str(surface)
+            for surface in light.occluders
+        ]
+        blocked_by = f"blocked by {', '.join(occluder_names)}"
+        outcome = blocked_by if occluder_names else "reaches the point"
         n_dot_l = f"{light.n_dot_l:.9g}"
         n_dot_h = f"{light.n_dot_h:.9g}"
         light_name = name_element("light", light_index, light.line)
@@ -179,16 +186,6 @@ class Explanation:
             highlight = f"{n_dot_h}^{self.exponent:g}"
             yield f"  diffuse   {_format_vector(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
             yield f"  specular  {_format_vector(light.specular)} = {intensity} * {ks} * {highlight}"
-
-
-def _to_vector(values: ArrayLike) -> Vector:
-    x, y, z = np.asarray(values, dtype=np.float64).tolist()
-    return x, y, z
-
-
-def _format_vector(vector: Vector) -> str:
-    """Format a vector with up to nine digits for each component, and negative zero as 0."""
-    return " ".join(f"{component + 0.0:.9g}" for component in vector)
 
 
 @np.errstate(all="ignore")
@@ -224,8 +221,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     samples = PIXEL_CENTERS.place_in_pixels(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.iterate_light_batches()).compute_radiance()[:, 0]
-    first_hit = FirstHits.from_hits(hits)
-    surface_index = first_hit.surface.item()
+    shown_hit = FirstHits.from_hits(hits)
+    surface_index = shown_hit.surface.item()
     ray = samples.compute_ray_x(frame), frame.to_ray_y(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
@@ -235,14 +232,14 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         eye=_to_vector(frame.eye),
         direction=_to_vector(normalize(np.ravel(frame.rotate_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
-        distance=first_hit.distance.item(),
-        point=_to_vector(first_hit.point[0]),
-        normal=_to_vector(first_hit.normal[0]),
+        distance=shown_hit.distance.item(),
+        point=_to_vector(shown_hit.point[0]),
+        normal=_to_vector(shown_hit.normal[0]),
         kd=_to_vector(shader.diffuse),
         ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _explain_light(scene, hits, first_hit, light_index)
+            _explain_light(scene, hits, shown_hit, light_index)
             for light_index in range(len(scene.lights) if has_hit else 0)
         ),
         radiance=_to_vector(radiance),
@@ -250,52 +247,63 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     )
 
 
-def _explain_light(
-    scene: Scene, camera_hits: Hits, first_hit: FirstHits, light_index: int
-) -> LightPart:
-    """Compute the contribution of one light to a pixel that shows a surface.
+def _explain_light(scene: Scene, hits: Hits, shown_hit: FirstHits, light_index: int) -> LightPart:
+    """Compute the contribution of one light to the colour of a pixel that shows a surface.
 
-    `camera_hits` and `first_hit` contain the same single hit, in camera axes and in scene axes.
-    The first is needed to decide what the renderer decides, with the same rounding errors: whether
-    the surface faces the light, and what blocks it.  The second gives the cosines that are shown,
-    which thus agree with the position and the normal that are shown.
+    `hits` contains one hit, from which the renderer computes the colour, and so do the radiance and
+    the occluders here.  `shown_hit` is this hit in scene axes, as the explanation shows it.  The
+    cosines are computed from `shown_hit`, so that a reader can compute them from what is shown.
     """
     light = scene.lights[light_index]
-    prepared_light = camera_hits.scene.prepare_lights(slice(light_index, light_index + 1))
-    is_facing_light = compute_light_geometry(camera_hits, prepared_light).n_dot_l.item() > 0
-    # A surface that faces away from the light blocks the light itself.
-    if is_facing_light:
-        occluder_index = _find_occluders(camera_hits, prepared_light)
-    else:
-        occluder_index = camera_hits.hit_object
-    diffuse, specular = np.zeros((2, 3))
-    for channel, *terms in shade(camera_hits, [prepared_light]).compute_channels():
-        diffuse[channel], specular[channel] = (term.item() for term in terms)
-    point = first_hit.point[0]
-    normal = first_hit.normal[0]
-    to_light = normalize(np.subtract(light.position, point))
-    half_vector = normalize(to_light + normalize(camera_hits.scene.frame.eye - point))
+    prepared_light = hits.scene.prepare_lights(slice(light_index, light_index + 1))
+    occluder_index = _find_occluders(hits, prepared_light)
     surface_indices = scene.surfaces.file_index[occluder_index].tolist()
+    diffuse = np.zeros(3)
+    specular = np.zeros(3)
+    for radiance in shade(hits, [prepared_light]).compute_channels():
+        diffuse[radiance.channel] = radiance.diffuse.item()
+        specular[radiance.channel] = radiance.specular.item()
+    point = shown_hit.point[0]
+    normal = shown_hit.normal[0]
+    to_light = normalize(np.subtract(light.position, point))
+    to_eye = normalize(hits.scene.frame.eye - point)
     return LightPart(
         line=light.line,
         intensity=_to_vector(light.intensity),
         n_dot_l=float(normal @ to_light),
-        n_dot_h=float(normal @ half_vector),
+        n_dot_h=float(normal @ normalize(to_light + to_eye)),
         occluders=tuple(SurfaceRef.from_index(scene, index) for index in surface_indices),
         diffuse=_to_vector(diffuse),
         specular=_to_vector(specular),
     )
 
 
-def _find_occluders(hit: Hits, light: Lights) -> Shaped[Ints, "n"]:
-    """Find all objects that block the segment from one hit to one light, except that of the hit."""
+def _find_occluders(hits: Hits, lights: Lights) -> Shaped[Ints, "n"]:
+    """Find the object indices of all objects that block one light from one hit.
+
+    `hits` contains only this hit, and `lights` only this light.  If the surface at the hit faces
+    away from the light, the result is the object of the hit alone.
+    """
+    is_facing_light = compute_light_geometry(hits, lights).n_dot_l.item() > 0
+    if not is_facing_light:
+        return hits.hit_object
     occluder_indices = []
-    for shape in hit.scene.shapes:
-        object_index = np.setdiff1d(shape.objects.list_indices(), hit.hit_object)
+    for shape in hits.scene.shapes:
+        object_index = np.setdiff1d(shape.objects.list_indices(), hits.hit_object)
         # Repeat the hit and the light for each object.
-        hit_position = hit.get_points(np.zeros_like(object_index))
-        light_position = take(light.position.T, np.zeros_like(object_index))
-        light_side = light.side[0, object_index]  # outside, on or inside the object
+        hit_position = hits.get_points(np.zeros_like(object_index))
+        light_position = take(lights.position.T, np.zeros_like(object_index))
+        light_side = lights.side[0, object_index]  # outside, on or inside the object
         is_blocking = shape.occludes(object_index, hit_position, light_position, light_side)
         occluder_indices.append(object_index[is_blocking])
     return np.concatenate(occluder_indices)
+
+
+def _to_vector(values: ArrayLike) -> Vector:
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
+
+
+def _format_vector(vector: Vector) -> str:
+    """Format a vector with up to nine digits for each component, and negative zero as 0."""
+    return " ".join(f"{component + 0.0:.9g}" for component in vector)

@@ -1,7 +1,8 @@
-"""Warn of valid scenes that look like mistakes.
+"""Warn about valid scenes that look like mistakes.
 
-Most warnings follow from the scene alone.  If a picture is black, rays are traced to find out which
-objects are visible, and why no light reaches them.
+Most warnings follow from the scene alone.  Others follow from the *exposure* of its picture: how
+many pixels are black, and how many are too bright.  If all are black, rays are traced to find out
+which objects are visible, and why no light reaches them.
 """
 
 from __future__ import annotations
@@ -26,13 +27,14 @@ _MIN_PEAK = 10
 # Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
 
-# Maximum number of (light, surface) pairs for which lights inside surfaces are searched for.
+# If the number of lights times the number of surfaces is larger than this, no light is checked for
+# being inside a surface.
 _MAX_PAIRS = BATCH_SIZE
 
-# In a part of a picture with more pixels than this, only some rows are examined for black and
-# clipped pixels.  Examining all rows took 8 % of the time of a picture of one sphere.
+# In a tile with more pixels than this, only some rows are examined for black and clipped pixels.
+# Examining all rows took 8 % of the time of a picture of one sphere.
 _MAX_EXAMINED_PIXELS = 4096
-# In such a part, one in this many rows is examined.
+# In such a tile, one in this many rows is examined.
 _ROW_STEP = 16
 
 # Maximum number of lines that a warning lists.
@@ -47,10 +49,7 @@ class SceneWarning(UserWarning):
 
 
 class Exposure(NamedTuple):
-    """Counts of lit and clipped pixels in a picture, or in a part of it.
-
-    In large parts, the counts of lit and clipped pixels are estimates (see `_ROW_STEP`).
-    """
+    """Counts of lit and clipped pixels in a picture, or in a tile of it."""
 
     pixel_count: int = 0
     lit_count: int = 0  # not black; 0 only if all pixels are black
@@ -58,6 +57,11 @@ class Exposure(NamedTuple):
 
     @classmethod
     def from_radiance(cls, radiance: Shaped[Floats, "rows columns 3"]) -> Exposure:
+        """Count the pixels of a tile.
+
+        In a tile of more than `_MAX_EXAMINED_PIXELS`, the counts of lit and clipped pixels are
+        estimated from one in `_ROW_STEP` rows.
+        """
         pixel_count = radiance[..., 0].size
         row_step = _ROW_STEP if pixel_count > _MAX_EXAMINED_PIXELS else 1
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
@@ -75,16 +79,16 @@ def lint_scene(
 ) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
-    A warning is one line: what looks wrong, where, and a suggested fix.  Of several lights or
-    colours with the same mistake, the first is reported.
+    A warning is one line.  It says what looks wrong and where, and suggests a fix.  If several
+    lights or colours have the same mistake, only the first is reported.
 
     Parameters
     ----------
     prepared_scene
-        The same scene, prepared for its camera.
+        The prepared form of `scene`.
     exposure
-        Counts in the whole picture.  None if only a part of the picture was rendered; then no
-        warning is given about black or too bright pictures, because the rest may look different.
+        Counts in the whole picture.  None if only a part of the picture was rendered.  That part
+        may be black or too bright although the whole picture is not, so nothing is said about it.
     """
     range_warning = _check_color_ranges(scene)
     if range_warning:
@@ -109,10 +113,9 @@ def lint_scene(
 
 
 def _check_color_ranges(scene: Scene) -> str | None:
-    """Return a warning if a colour seems to be on a scale of 0 to 255 instead of 0 to 1.
+    """Return a warning if a colour seems to be on a scale of 0 to 255 instead of 0 to 1, or None.
 
-    That is the case if all components are integers up to 255, and one is at least `_MIN_PEAK`.  The
-    warning names the light, or the first surface with the colour, and suggests a new colour.
+    The warning names the light, or the first surface with the colour, and suggests a new colour.
     """
     for light_index, light in enumerate(scene.lights):
         if _is_up_to_255(light.intensity):
@@ -134,6 +137,7 @@ def _check_color_ranges(scene: Scene) -> str | None:
 
 
 def _is_up_to_255(color: VectorLike) -> bool:
+    """Test whether all components are integers up to 255, and one is at least `_MIN_PEAK`."""
     return max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color)
 
 
@@ -145,7 +149,7 @@ def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
 
 
 def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield a warning about shaders that no surface uses, and one about exponents without effect.
+    """Yield a warning if no surface uses some shaders, and one if some exponents have no effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file
     have no line that a message could name, so they are skipped.
@@ -171,7 +175,7 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
 
 
 def _format_shader_names(lines: list[int]) -> str:
-    """Return names such as "shader on line 3" or "shaders on lines 3, 7"."""
+    """Return a phrase such as "shader on line 3" or "shaders on lines 3, 7"."""
     if len(lines) == 1:
         return f"shader on line {lines[0]}"
     listed_lines = [str(line) for line in lines[:_MAX_LISTED_LINES]]
@@ -186,7 +190,8 @@ def _check_aspect(scene: Scene) -> Iterator[str]:
     """
     width, height = scene.width, scene.height
     view_width, view_height = scene.camera.view_width, scene.camera.view_height
-    if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
+    pixel_aspect = view_width * height / (view_height * width)
+    if not 1 / _MAX_ASPECT <= pixel_aspect <= _MAX_ASPECT:
         window_size = f"{format_number(view_width)} x {format_number(view_height)}"
         problem = f"a window of {window_size} is stretched over {width} x {height} pixels"
         column_count = max(1, round(height * view_width / view_height))
@@ -205,35 +210,29 @@ def _check_dark_lights(scene: Scene) -> Iterator[str]:
 
 
 def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield a warning about the first light that is inside a surface while the eye is outside.
+    """Yield a warning about the first light that is inside a surface while the eye is outside it.
 
-    A light that is inside by at most `LIGHT_TOLERANCE`, relative to the coordinates, counts as on
-    the surface.  If there are more than `_MAX_PAIRS` pairs, nothing is checked.
+    A light counts as inside if it is deeper below the surface than rounding can explain.
     """
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
-    # A row for each light, a column for each object.
-    is_enclosed = np.concatenate(
-        [
-            shape.measure_distance(shape.objects.list_indices(), (x, y, z))
-            < -LIGHT_TOLERANCE * shape.coordinate_bound
-            for shape in prepared_scene.shapes
-        ],
-        axis=1,
-    )
-    is_enclosed &= ~prepared_scene.is_eye_inside
-    enclosed_light_index = np.flatnonzero(is_enclosed.any(axis=1))
-    if enclosed_light_index.size:
-        light_index = enclosed_light_index.item(0)
+    is_inside_shape = []  # for each shape, a table with a row per light and a column per object
+    for shape in prepared_scene.shapes:
+        distances = shape.measure_distance(shape.objects.list_indices(), (x, y, z))
+        is_inside_shape.append(distances < -LIGHT_TOLERANCE * shape.coordinate_bound)
+    has_no_effect = np.concatenate(is_inside_shape, axis=1) & ~prepared_scene.is_eye_inside
+    enclosed_lights = np.flatnonzero(has_no_effect.any(axis=1)).tolist()
+    if enclosed_lights:
+        light_index = enclosed_lights[0]
         light_name = _format_light_name(scene, light_index)
-        surface_name = _format_surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
+        surface_name = _format_surface_name(scene, np.flatnonzero(has_no_effect[light_index]))
         yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
 
 
 @np.errstate(all="ignore")
 def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple[str, str]:
-    """Find the reason why the picture of a scene is black, and a suggested fix."""
+    """Return the reason why the picture of a scene is black, and a suggested fix."""
     if not scene.lights:
         return "the scene has no light", "add <light>"
     visible_index = _find_visible_objects(prepared_scene)
@@ -260,9 +259,9 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
 
 
 def _find_visible_objects(prepared_scene: PreparedScene) -> Shaped[Ints, "n"]:
-    """Find the objects that are visible through the centre of at least one pixel.
+    """Find the objects that are visible at the centre of at least one pixel.
 
-    Their indices are in ascending order.
+    Return their object indices in ascending order.
     """
     rows, columns = prepared_scene.window
     index_batches = [np.zeros(0, dtype=np.intp)]
@@ -277,7 +276,10 @@ def _find_visible_objects(prepared_scene: PreparedScene) -> Shaped[Ints, "n"]:
 
 
 def name_element(kind: str, index: int, line: int | None) -> str:
-    """Return a name for a light or a surface, such as "light 0 (line 12)"; its line may be None."""
+    """Return a name for a light or a surface, such as "light 0 (line 12)".
+
+    Without a line (None), it is "light 0".
+    """
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 

@@ -1,4 +1,4 @@
-"""Make the C library keep freed memory for the next arrays.
+"""Make the C library keep freed memory for later arrays.
 
 Otherwise many pictures would spend half of their time on requesting fresh memory from the system.
 """
@@ -17,8 +17,8 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 # Maximum size of an array that is allocated on the heap, in bytes: glibc allows no more.
 _MAX_HEAP_BLOCK_BYTES = 1 << 25
 
-# Size of the part of the heap that consists of large pages, in bytes.  Twice this size of free
-# memory is kept.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
+# Number of bytes of the heap for which large pages are requested.  Twice as many bytes of freed
+# memory are kept.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
 _LARGE_PAGE_BYTES = 1 << 27
 
 
@@ -29,8 +29,8 @@ def keep_freed_memory() -> None:
     By default, glibc returns freed memory to the system.  Requesting memory again often takes
     longer than the arithmetic on the new arrays.
 
-    The setting applies to this process and to processes forked from it.  On other systems, nothing
-    is changed.
+    The setting applies to this process and to processes forked from it, and further calls do
+    nothing.  With another C library, nothing is changed, and no error is raised.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,4 +1,4 @@
-"""Show a scene as its picture in a notebook, which calls `Scene._repr_png_`."""
+"""Show a scene as its picture in a notebook, which calls `Scene._repr_png_` to get a PNG file."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ _MAX_SIDE = 1 << 14
 
 
 def make_notebook_png(scene: Scene) -> bytes:
-    """Render a scene to the bytes of a PNG file, which is no larger than a browser can show.
+    """Render a scene to the bytes of a PNG file, with no more pixels than a browser can show.
 
-    The picture is made tile by tile, so it takes little more memory than the file.  Warnings are
-    about the line of the user's code that shows the scene.
+    The picture is made tile by tile, so it takes little more memory than the file.  What looks like
+    a mistake in the scene is reported with `warnings.warn`, at the line of the user's code that
+    shows the scene.  So is a picture that had to be made smaller.
     """
     shown_scene = _limit_size(scene)
     job = RenderJob(shown_scene)
@@ -51,7 +52,10 @@ def make_notebook_png(scene: Scene) -> bytes:
 
 
 def _limit_size(scene: Scene) -> Scene:
-    """Reduce the size of a scene's picture to the limits; within them, return the scene itself."""
+    """Return the scene, or a copy with a smaller picture if the picture exceeds the limits.
+
+    The proportions of the picture are kept, and neither side becomes 0.
+    """
     width, height = scene.width, scene.height
     factor = max(sqrt(width * height / _MAX_PIXELS), max(width, height) / _MAX_SIDE)
     if factor <= 1:
@@ -60,9 +64,10 @@ def _limit_size(scene: Scene) -> Scene:
 
 
 def _find_user_level() -> int:
-    """Return the `stacklevel` with which the caller warns about the user's innermost line.
+    """Return the `stacklevel` with which the caller of this function warns about the user's line.
 
-    Between that line and this module are functions of the notebook.  User code runs in `__main__`.
+    User code runs in the module `__main__`.  Between it and this module are functions of the
+    notebook.  If no caller is in `__main__`, return 2, which stands for the caller's caller.
     """
     level = 1
     frame = sys._getframe(1)
