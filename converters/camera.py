@@ -1,7 +1,9 @@
 """Compute the window of a camera, and find the visible points of a scene.
 
-The window is computed independently of the tracer's own camera, because it serves to validate that
-camera.
+The *window* of a camera is the rectangle in space that the picture fills.  It is computed here
+independently of the tracer, because pictures that Mitsuba renders with it validate the tracer.
+
+All coordinates are in the axes of the scene unless a comment says otherwise.
 """
 
 from __future__ import annotations
@@ -17,30 +19,32 @@ from tracer import Camera, Scene, Surfaces, first_hits
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Numbers of rays along each side of the picture, which are tried in this order.
+# Numbers of rays along each side of the picture.  If too few rays of a grid hit a surface, the next
+# number is tried.
 _RAYS_PER_SIDE = 12, 48, 192
 
-# If fewer rays than this hit a surface, the next number is tried.
+# Minimum number of rays of a grid that must hit a surface.
 _MIN_VISIBLE_POINTS = 12
 
 
 class Window(NamedTuple):
-    """The *window* of a camera: the rectangle in space that the picture fills."""
+    """The window of a camera, and the position of the eye, through which all rays pass."""
 
     eye: Shaped[Floats, "3"]
-    # Unit vectors in rows: right and down along the edges of the window, and forward, from the eye
-    # towards the window and perpendicular to it.
+    # Unit vectors in rows: right and down along the edges of the window, and forward, which is
+    # perpendicular to the window and points away from the eye.
     axes: Shaped[Floats, "3 3"]
     offset: Shaped[Floats, "3"]  # from the eye to the window's centre, in components along `axes`
-    width: float
+    width: float  # width and height are in the scene's unit of length
     height: float
 
     def compute_vectors_from_eye(
         self, x: Shaped[Floats | float, "..."], y: Shaped[Floats | float, "..."]
     ) -> Shaped[Floats, "... 3"]:
-        """Compute the vectors, in scene axes, from the eye to points in the window.
+        """Compute the vectors from the eye to points in the window, given by their position in it.
 
-        `x` and `y` run from (0, 0) in the upper left corner to (1, 1) in the lower right corner.
+        `x` is 0 at the left edge and 1 at the right edge of the window.  `y` is 0 at the upper edge
+        and 1 at the lower edge.
         """
         right, down, forward = self.axes
         offset_right = self.offset[0] + (np.asarray(x)[..., None] - 0.5) * self.width
@@ -50,10 +54,10 @@ class Window(NamedTuple):
 
 
 def compute_window(camera: Camera) -> Window:
-    """Compute the window of a camera.
+    """Compute the window of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
 
-    It is perpendicular to `proj_normal`, or to `view_dir` if `proj_normal` is None.  The formulas
-    are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
+    The window is perpendicular to the camera's `proj_normal`, or to `view_dir` if `proj_normal` is
+    None.
     """
     view_direction = _normalize(camera.view_dir)
     normal = _normalize(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
@@ -71,16 +75,18 @@ def compute_window(camera: Camera) -> Window:
 
 
 def _normalize(vector: Sequence[float] | Shaped[Floats, "3"]) -> Shaped[Floats, "3"]:
-    """Scale a vector, not the zero vector, to length 1, without overflow or underflow."""
-    scaled_vector = np.asarray(vector) / np.abs(vector).max()  # no square overflows or underflows
+    """Scale a vector to length 1.  It must not be the zero vector."""
+    # The largest component becomes 1, so the sum of squares neither overflows nor underflows.
+    scaled_vector = np.asarray(vector) / np.abs(vector).max()
     unit_vector: Floats = scaled_vector / np.linalg.norm(scaled_vector)
     return unit_vector
 
 
 def compute_bounding_box(surfaces: Surfaces) -> Shaped[Floats, "2 3"]:
-    """Compute the minimum (row 0) and maximum coordinates (row 1) of all surfaces.
+    """Compute the smallest box that contains all surfaces, with edges along the axes.
 
-    They are 0 if there are no surfaces.
+    Return its corner with the minimum coordinates in row 0, and the one with the maximum
+    coordinates in row 1.  Both are 0 if there are no surfaces.
     """
     if not len(surfaces):
         return np.zeros((2, 3))
@@ -91,10 +97,11 @@ def compute_bounding_box(surfaces: Surfaces) -> Shaped[Floats, "2 3"]:
 
 
 def sample_visible_points(scene: Scene) -> Shaped[Floats, "n 3"]:
-    """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
+    """Find points on the visible surfaces of a scene by tracing a regular grid of rays.
 
-    The first grid of `_RAYS_PER_SIDE` is used in which `_MIN_VISIBLE_POINTS` rays hit a surface, or
-    else the last one.  There, perhaps no ray hits a surface; then the result is empty.
+    The rays are spread evenly over the picture.  Finer and finer grids (`_RAYS_PER_SIDE`) are tried
+    until at least `_MIN_VISIBLE_POINTS` rays hit a surface.  If fewer rays of the last grid do, the
+    result has fewer points, or none.
     """
     for rays_per_side in _RAYS_PER_SIDE:
         y, x = (np.indices((rays_per_side, rays_per_side)).reshape(2, -1) + 0.5) / rays_per_side

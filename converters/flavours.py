@@ -3,9 +3,10 @@
 In the *exact* flavour, this project's own plugins (`converters.plugins`) compute the same picture
 as the tracer.  In the *stock* flavour, Mitsuba's built-in plugins approximate that picture.
 
-A function that converts a part of a scene returns a Mitsuba plugin as an XML element.  It applies a
-`Normalization` to all points and lengths.  It raises `ConversionError` if Mitsuba cannot represent
-a number.
+A Mitsuba scene consists of plugins, and each part of a scene (camera, light, shader, surface)
+becomes one of them, as an XML element.  To suit float32, all points and lengths are translated and
+scaled by a `Normalization`.  Every function that creates an element raises `ConversionError` if
+Mitsuba cannot represent a number.
 """
 
 from __future__ import annotations
@@ -33,33 +34,35 @@ from tracer import Phong, PointLight, Scene, Shader, Surfaces
 DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
 
-# Warnings of overflows are not needed: an infinite number raises `ConversionError` when it is
+# NumPy need not warn about overflows: an infinite number raises `ConversionError` when it is
 # formatted (see `mitsuba_xml`).
 _IGNORE_OVERFLOW = np.errstate(all="ignore")
 
 # Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
 _SCENE_SIZE = 10.0
 
-# Maximum error of a hit in the exact flavour, in roundings (2^-24) of the scene's largest length.
+# Maximum error of the position of a hit in the exact flavour.  The unit is one rounding error of
+# float32 (2^-24) of the largest length in the scene.
 _TOLERANCE_ROUNDINGS = 32
 
-# A stock scene keeps its coordinates if the size of its visible part, the longest edge of its
-# bounding box, is in this range, in the scene's unit of length, ...
+# A stock scene keeps its coordinates if its visible part is neither too small, nor too large, nor
+# too far from the origin.  The size of this part is the longest edge of its bounding box.  These
+# are the smallest and the largest size, in the scene's unit of length, ...
 _MIN_KEPT_SIZE = 0.1
 _MAX_KEPT_SIZE = 1e6
-# ... and the centre of this part is at most this many times the size from the origin.
+# ... and the largest coordinate of the centre of this part, as a multiple of the size.
 _MAX_KEPT_DISTANCE = 10.0
 
 # Maximum radius of a sphere in a stock scene, in Mitsuba's units.  Hits on it have an error of 1e-7
-# of the radius, and Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down
-# for larger spheres.
+# of the radius, and Mitsuba starts shadow rays 1e-4 above the surface.  A scene with larger spheres
+# is scaled down.
 _MAX_RADIUS = 300.0
 
-# The scene is scaled down at most by this factor, so that shadow rays do not start above its small
-# objects.
+# Such a scene is not scaled by a smaller factor than this, because shadow rays, which start 1e-4
+# above a surface, would then start above its small objects.
 _MIN_SHRINK_FACTOR = 1e-4
 
-# Half the thickness of a flat box, relative to the largest coordinate in the scene.
+# Half the thickness that a flat box gets, relative to the largest coordinate in the scene.
 _MIN_HALF_THICKNESS = 1e-6
 
 # Distance from the stock camera to its near plane, relative to the distance of its far plane.
@@ -102,7 +105,7 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
 
 
 class Normalization(NamedTuple):
-    """A translation and scaling that maps each point p of a scene to (p - center) * scale.
+    """A map of each point p of a scene to the point (p - center) * scale of the Mitsuba scene.
 
     The picture stays the same, and the coordinates move into the range where float32 is accurate.
     """
@@ -111,7 +114,7 @@ class Normalization(NamedTuple):
     scale: float
 
     def __call__(self, points: Shaped[Floats, "... 3"]) -> Shaped[Floats, "... 3"]:
-        """Translate and scale points."""
+        """Map points of the scene to points of the Mitsuba scene."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
@@ -123,11 +126,11 @@ class Normalization(NamedTuple):
 
 
 def choose_normalization(scene: Scene) -> Normalization:
-    """Choose a translation and scaling that fit the visible part of a scene into a cube.
+    """Choose the translation and the scale that fit the visible part of a scene into a cube.
 
     The cube is centred at the origin, and its edges are `_SCENE_SIZE` long.  If no surface is
-    visible, the whole scene is fitted into the cube.  If there is only a single point, the scale
-    is 1.
+    visible, all surfaces are fitted into the cube.  If these are only a point, or there are none,
+    the scale is 1.
     """
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
@@ -138,7 +141,7 @@ def choose_normalization(scene: Scene) -> Normalization:
 
 
 def _choose_stock_normalization(scene: Scene) -> Normalization:
-    """Choose the translation and scaling of a scene for the stock flavour.
+    """Choose the translation and the scale of a scene for the stock flavour.
 
     The scene keeps its coordinates unless its visible part is very small, very large or far from
     the origin.  A scene with very large spheres is scaled down.
@@ -156,9 +159,9 @@ def _choose_stock_normalization(scene: Scene) -> Normalization:
 
 
 def _make_film(scene: Scene) -> Element:
-    """Create the film that stores the picture as linear radiance.
+    """Create the film plugin, which stores the picture as linear RGB radiance in float32.
 
-    Its box filter averages the samples of each pixel separately.
+    The radiance of a pixel is the average of its own samples, because the film has a box filter.
     """
     box_filter = make_plugin("rfilter", "box")
     width, height = scene.width, scene.height
@@ -169,10 +172,11 @@ def _make_film(scene: Scene) -> Element:
 def _convert_surfaces(
     surfaces: Surfaces, normalization: Normalization, bsdf_names: Sequence[str]
 ) -> list[Element]:
-    """Convert all surfaces to shapes, in the order of the scene file.
+    """Convert all surfaces to shape plugins, in the order of the scene file.
 
-    `bsdf_names` contains a name for each shader.  A flat box gets a small thickness, because
-    Mitsuba cannot invert the transform of a flat cube.
+    `bsdf_names` contains, for each shader in `surfaces.shaders`, the name of the BSDF plugin to
+    which it is converted.  A flat box gets a small thickness, because Mitsuba cannot invert the
+    transform of a flat cube.
     """
     radii = (surfaces.radius * normalization.scale).tolist()
     shapes = [
@@ -191,14 +195,15 @@ def _convert_surfaces(
         shapes.append(make_plugin("shape", "cube", to_world))
     for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
         shape.append(Element("ref", id=bsdf_names[shader_index]))
-    # So far all spheres come before all boxes; `array_index` is in the order of the scene file.
+    # Here all spheres come before all boxes.  `array_index` is in the order of the scene file.
     return [shapes[index] for index in surfaces.array_index.tolist()]
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose a BSDF name for each shader, and return also the shader of each name that is used.
+    """Choose the name of a BSDF plugin for each shader.  Equal shaders get the same name.
 
-    Equal shaders share a BSDF.
+    Return (1) the name for each shader in `surfaces.shaders`, and (2) the shader for each name that
+    a surface uses.
     """
     distinct_shaders = dict.fromkeys(surfaces.shaders)
     name_of_shader = {shader: f"bsdf{index}" for index, shader in enumerate(distinct_shaders)}
@@ -220,7 +225,7 @@ converters.plugins, and call mitsuba.load_file.
 def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
     """Convert a scene to a Mitsuba scene that reproduces the tracer's picture.
 
-    If there is a single sample per pixel, it is at the pixel's centre.
+    `samples` is the number of samples per pixel.  A single one is at the pixel's centre.
     """
     normalization = choose_normalization(scene)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
@@ -245,9 +250,9 @@ def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
 
 
 def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
-    """Create this project's sensor, "window".
+    """Create the sensor of the exact flavour: this project's plugin `converters.plugins.Window`.
 
-    Its rays start on a box around the scene, because float32 is accurate there.
+    Its rays start on a box around all surfaces, because positions there are accurate in float32.
     """
     window = compute_window(scene.camera)
     corner_vector = window.compute_vectors_from_eye(0, 0)
@@ -269,10 +274,10 @@ def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int)
 
 
 def make_pixels_square(scene: Scene) -> Scene:
-    """Make the pixels of a scene's picture square by changing the number of rows.
+    """Return a scene like this one, but with another number of rows, so that pixels are square.
 
     The number of rows is rounded to an integer of at least 1, and the height of the camera's window
-    is changed to match.  A scene whose pixels are square is returned unchanged.  Raise
+    is changed to match.  If the pixels are square already, the result is `scene` itself.  Raise
     `ConversionError` if the picture would have more than `_MAX_PIXELS` pixels.
     """
     camera = scene.camera
@@ -314,7 +319,8 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
     """Approximate a scene by a Mitsuba scene that needs only Mitsuba's built-in plugins.
 
     The pixels become square, the lights fall off with distance, and the highlights have a different
-    shape.  The number of samples may be rounded up, so that all lights get the same number.
+    shape.  `samples` is the number of samples per pixel.  It may be rounded up, so that all lights
+    get the same number.
     """
     normalization = _choose_stock_normalization(scene)
     square_scene = make_pixels_square(scene)
@@ -343,11 +349,11 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
 
 
 def _round_up_samples(min_samples: int, light_count: int) -> int:
-    """Find the smallest number of samples per pixel that gives all lights the same number.
+    """Round the number of samples per pixel up, so that each light can get the same number of them.
 
-    It is a multiple of the number of lights, and divisible by its own isqrt, as Mitsuba's
-    "multijitter" sampler requires.  If there are no lights, or more lights than samples, the number
-    stays the same.
+    The result is a multiple of the number of lights, and of its own square root, rounded down, as
+    Mitsuba's sampler "multijitter" requires.  If there are no lights, or more lights than samples,
+    the result is `min_samples`.
     """
     samples = min_samples
     while 0 < light_count <= min_samples and (samples % light_count or samples % isqrt(samples)):
@@ -356,16 +362,16 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
 
 
 def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
-    """Create Mitsuba's sensor, "perspective", for a scene with square pixels.
+    """Create the sensor of the stock flavour, Mitsuba's "perspective", for square pixels.
 
     Raise `ConversionError` if the field of view, in float32, is 0 or close to 180 degrees.
     """
     window = compute_window(scene.camera)
     right, down, forward = window.axes
-    # Mitsuba's camera looks along +z, with +x to the left and +y up.
+    # In Mitsuba's camera axes, x points to the left, y up, and z along the direction of view.
     to_world = np.column_stack([-right, -down, forward, normalization(window.eye)])
-    # The field of view is that of a window of the same size whose centre is straight ahead; the
-    # principal point shifts it to the right place.
+    # The field of view is that of a window of this size whose centre is straight ahead.  The offset
+    # of the principal point then shifts the window to the right place.
     offset_right, offset_down, distance = window.offset
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -400,16 +406,16 @@ def _convert_light(
     divisor: float,
     visible_points: Shaped[Floats, "n 3"],
 ) -> Element:
-    """Convert a light to a Mitsuba point light, which falls off with the squared distance.
+    """Convert a light to a Mitsuba point light, which falls off with the square of the distance.
 
     The Mitsuba light is as strong as the original at one distance only, which a comment states.
-    This distance minimises the sum of the squared errors of the irradiance at visible points of the
-    scene.  The intensity is multiplied by the divisor of all reflectances.
+    This distance minimises the sum of the squared errors of the irradiance at `visible_points`.
+    The intensity is multiplied by `divisor`, by which all reflectances are divided.
     """
     position = normalization(np.array(light.position))
     squared_distances = ((normalization(visible_points) - position) ** 2).sum(axis=1)
-    # Divide by the largest square to avoid overflow, unless all are 0.  The minimum of 1e-12 avoids
-    # division by 0.
+    # Dividing by the largest square avoids overflow.  If all are 0, they are not divided.  The
+    # minimum of 1e-12 avoids division by 0.
     largest_square = float(squared_distances.max()) or 1.0
     falloff = 1 / np.maximum(squared_distances / largest_square, 1e-12)
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
@@ -421,7 +427,10 @@ def _convert_light(
 
 
 def choose_reflectance_divisor(surfaces: Surfaces) -> float:
-    """Choose the smallest divisor, at least 1, for which no reflectance exceeds 1."""
+    """Return the smallest divisor, at least 1, of all reflectances that leaves none above 1.
+
+    Mitsuba does not allow reflectances above 1.  Only shaders that a surface uses count.
+    """
     used_shaders = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
     return max([1.0, *(float(np.max(_compute_reflectances(shader))) for shader in used_shaders)])
 
@@ -431,10 +440,10 @@ def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
 
 
 def _compute_reflectances(shader: Shader) -> tuple[Shaped[Floats, "3"], Shaped[Floats, "3"]]:
-    """Compute the reflectances of the diffuse and the Beckmann BSDF that represent a shader.
+    """Compute the RGB reflectances of the diffuse and the Beckmann BSDF that represent a shader.
 
     A shader with a highlight becomes a blend of the two.  Their reflectances are doubled, because
-    the blend halves both; they may exceed 1.  Without a highlight, the second is black.
+    the blend halves both, so they may exceed 1.  Without a highlight, the second is black.
     """
     diffuse = np.array(shader.diffuse)
     if not _has_highlight(shader):
@@ -444,9 +453,10 @@ def _compute_reflectances(shader: Shader) -> tuple[Shaped[Floats, "3"], Shaped[F
 
 
 def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
-    """Convert a shader to a two-sided BSDF: diffuse, or a blend if there is a highlight.
+    """Convert a shader to a two-sided BSDF plugin with a name.
 
-    All reflectances are divided by the divisor.
+    The BSDF is diffuse, or a blend of a diffuse and a Beckmann BSDF if the shader has a highlight.
+    All reflectances are divided by `divisor`.
     """
     diffuse, specular = _compute_reflectances(shader)
     bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))

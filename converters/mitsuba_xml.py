@@ -1,7 +1,10 @@
 """Build Mitsuba scene files as trees of XML elements.
 
-Mitsuba computes with float32, in which a number beyond its range would become infinite.  Therefore
-every function raises `ConversionError` if it is given such a number.
+A Mitsuba scene consists of *plugins*: an integrator, a sensor, lights, shapes and so on.  Each is
+an XML element, with child elements for its parameters and for the plugins that it contains.
+
+Mitsuba computes with float32.  All functions here that take numbers raise `ConversionError` for a
+NaN, and for a number that would become infinite in float32.
 """
 
 from __future__ import annotations
@@ -24,10 +27,10 @@ class ConversionError(ValueError):
 
 
 class Document:
-    """A converted scene; its `str` is the content of the Mitsuba scene file.
+    """A converted scene.  Its `str` is the content of the Mitsuba scene file.
 
-    The file begins with `FILE_START` and the comment, a text about the conversion.  The elements
-    are plugins: integrator, sensor, lights, BSDFs and shapes.
+    `elements` are the plugins of the scene.  `comment` describes the conversion: it continues the
+    sentence `FILE_START` at the beginning of the file.
     """
 
     def __init__(self, comment: str, elements: Iterable[Element]) -> None:
@@ -40,9 +43,9 @@ class Document:
 
 
 def _format_element(element: Element[Any], line_start: str = "\n") -> str:
-    """Format an XML element and all its descendants as lines, each preceded by its line break.
+    """Format an XML element and all its descendants, each on a line of its own.
 
-    `line_start` is the line break and the indentation of the element.
+    The result begins with `line_start`: a line break, and the indentation of the element.
 
     This is about twice as fast as ElementTree.  Attribute values are not escaped, because converted
     scenes contain no characters that need it.
@@ -66,6 +69,8 @@ def make_plugin(
 ) -> Element:
     """Create the XML element for a Mitsuba plugin, with its parameters and then its children.
 
+    Raise `ConversionError` if Mitsuba cannot represent one of the parameters.
+
     Parameters
     ----------
     tag
@@ -73,11 +78,11 @@ def make_plugin(
     plugin_type
         Mitsuba's name for the type of the plugin, such as "perspective" or "diffuse".
     *children
-        Nested plugins, and parameters that consist of several numbers.
+        Plugins that this one contains, and parameters that consist of several numbers.
     name
         Name by which other plugins refer to this one.
     **parameters
-        Parameters with a single value.
+        Values of Mitsuba's parameters, by their names.  Each is a bool, an int, a float or a str.
     """
     element = Element(tag, type=plugin_type)
     if name is not None:
@@ -95,10 +100,11 @@ def make_plugin(
 
 
 def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Element:
-    """Create the XML element for three numbers: a point, a vector, a scaling or a translation.
+    """Create an XML element of three numbers.
 
-    `name` is the parameter of a plugin that the numbers set.  It is None if they are a part of a
-    transform.
+    `tag` is "point" or "vector" for a parameter of a plugin, and then `name` is the name of the
+    parameter.  In a transform, `tag` is "scale" or "translate", and `name` is None.  Raise
+    `ConversionError` if Mitsuba cannot represent a number.
     """
     attributes = {} if name is None else {"name": name}
     x, y, z = [_format_number(name or tag, component) for component in components]
@@ -106,12 +112,18 @@ def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Elem
 
 
 def make_color(name: str, color: Iterable[float]) -> Element:
-    """Create the XML element for a colour, in linear RGB, that sets a plugin parameter."""
+    """Create the XML element that sets a parameter of a plugin to a linear RGB colour.
+
+    Raise `ConversionError` if Mitsuba cannot represent a component of the colour.
+    """
     return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
 def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element for a 4 x 4 matrix that sets a plugin parameter, a transform."""
+    """Create the XML element that sets a parameter of a plugin to a transform, a 4 x 4 matrix.
+
+    Raise `ConversionError` if Mitsuba cannot represent an element of the matrix.
+    """
     element = Element("transform", name=name)
     numbers = (number for row in matrix_rows for number in row)
     SubElement(element, "matrix", value=_format_numbers(name, numbers))
@@ -121,8 +133,8 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
 def _format_number(parameter_name: str, value: float) -> str:
     """Format a number as the shortest text that denotes the same float64 number.
 
-    Raise `ConversionError`, with the parameter's name, for NaN and for numbers beyond the range of
-    float32.
+    Raise `ConversionError`, with the name of the parameter that the number sets, for NaN and for
+    numbers beyond the range of float32.
     """
     if not abs(value) <= _MAX_FLOAT32:  # also if it is NaN
         raise ConversionError(

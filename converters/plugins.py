@@ -5,10 +5,12 @@ point light whose intensity does not decrease with distance; (3) the BSDF of the
 (Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2); and (4) an integrator that adds
 the light of every emitter for each sample.
 
-Mitsuba calls the methods of the plugins; some of the arguments that it passes are not used.
+Mitsuba calls the methods of the plugins, in which some of the arguments are not used.  A *hit* is
+Mitsuba's `SurfaceInteraction3f`.  In vectorised variants of Mitsuba, every argument and result
+stands for many rays at once, and `active` masks the rays for which a result is needed.
 
 Importing this module registers the plugins for the current variant, and for each variant that is
-set later.  If no variant is set, the fastest one that works on this machine is chosen.
+set later.  If no variant is set, the fastest one that works on this machine is set.
 """
 
 # Mitsuba's type stubs describe one variant, but these classes run in every RGB variant.
@@ -49,9 +51,10 @@ class Window(mi.Sensor):
     def sample_ray(self, time, wavelength, position, aperture, active=True):
         """Compute the ray from the eye through a point of the picture, in float64.
 
-        `position` runs from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
-        The ray has a direction of unit length.  It starts where it enters the box around the scene,
-        or at the eye if the eye is inside the box.  Its weight is 1.
+        `position` is (0, 0) in the upper left corner of the picture, and (1, 1) in the lower right
+        corner.  The direction of the ray has length 1.  The ray starts where it enters the box
+        around the scene, or at the eye if the eye is inside the box.  The second result, the weight
+        of the ray, is 1.
         """
         x, y = mi.Float64(position.x), mi.Float64(position.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
@@ -64,7 +67,7 @@ class Window(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, time, wavelength, position, aperture, active=True):
-        """Return the ray of `sample_ray`, without differentials."""
+        """Return the ray that `sample_ray` returns, without differentials, and its weight of 1."""
         ray, weight = self.sample_ray(time, wavelength, position, aperture, active)
         return mi.RayDifferential3f(ray), weight
 
@@ -82,9 +85,9 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
     def sample_direction(self, hit, sample, active=True):
-        """Compute the direction and the distance of the light from a hit, and its intensity.
+        """Return the direction and the distance from a hit to the light, and the light's intensity.
 
-        The intensity is 0 where `active` is False.
+        The intensity, the second result, is 0 where `active` is False.
         """
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
@@ -102,7 +105,7 @@ class UnattenuatedPoint(mi.Emitter):
         return light_sample, dr.select(active, self.intensity, 0)
 
     def eval(self, hit, active=True):
-        """Return a radiance of 0, because no ray can hit a point light."""
+        """Return the radiance of the light where a ray hits it: 0, because no ray hits a point."""
         return mi.Spectrum(0)
 
 
@@ -126,9 +129,9 @@ class BlinnPhong(mi.BSDF):
     def eval(self, context, hit, to_light, active=True):
         """Compute the shading, which is the product of the BSDF and the cosine n.l.
 
-        `to_light`, and `hit.wi` towards the eye, are in a local frame whose z axis is the normal.
-        The shading is 0 where the two directions are on different sides of the surface, and where
-        `active` is False.
+        `to_light` and `hit.wi` are unit vectors to the light and to the eye, in a local frame whose
+        z axis is the normal.  The shading is 0 where they are on different sides of the surface,
+        and where `active` is False.
         """
         half_vector = dr.normalize(hit.wi + to_light)
         # Compute the cosine n.h from the sine: in float32, a cosine close to 1 would round to 1.
@@ -160,8 +163,8 @@ class EveryLight(mi.SamplingIntegrator):
     def sample(self, scene, sampler, ray, medium=None, active=True):
         """Compute the radiance along a ray from the eye, and whether the ray hits a surface.
 
-        If the ray hits nothing, the radiance is 0.  The third result, a list of other outputs, is
-        empty.
+        If the ray hits nothing, the radiance is 0.  The third result, a list of additional
+        channels, is empty.
         """
         hit = scene.ray_intersect(ray, active)
         is_hit = hit.is_valid()
@@ -199,7 +202,7 @@ for register, plugin, name in (
     plugin.to_string = lambda self: f"{type(self).__name__}[]"  # printed by Mitsuba
     register(name, plugin)
 
-# The base classes belong to one variant.  For another variant, the plugins are defined again.
+# The base classes belong to one variant.  If another variant is set, the plugins are defined again.
 if "_reload" not in globals():
 
     def _reload(_old: str | None, _new: str | None) -> None:

@@ -1,4 +1,7 @@
-"""Render scenes with Mitsuba."""
+"""Render scenes with Mitsuba.
+
+Importing this module needs Mitsuba, unlike converting scenes to files for Mitsuba.
+"""
 
 from __future__ import annotations
 
@@ -25,28 +28,30 @@ _MAX_SAMPLES = 2**32 - 1
 
 
 class Rendering(NamedTuple):
-    """A picture rendered by Mitsuba."""
+    """A picture rendered by Mitsuba, and how long that took."""
 
-    # Linear RGB radiance, and then the channels of an "aov" integrator, if the scene has one.
+    # Linear RGB radiance in the first three channels.  The channels of an "aov" integrator follow
+    # if the scene has one.
     image: Shaped[Floats, "height width channels"]
-    variant: str
-    seconds: float  # without loading the scene
+    variant: str  # Mitsuba's variant that rendered the picture
+    seconds: float  # for rendering, not for loading the scene
 
 
 def render_with_mitsuba(
     scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
 ) -> Shaped[Floats, "height width 3"]:
-    """Render a scene with Mitsuba.
+    """Render a scene with Mitsuba, and return the linear RGB radiance of the picture.
 
     Parameters
     ----------
     samples
-        Samples per pixel; by default, `DEFAULT_SAMPLES` of the flavour.
+        Number of samples per pixel; by default, `DEFAULT_SAMPLES` of the flavour.
     variant
-        Mitsuba's variant; by default, the fastest that works on this machine.
+        Name of Mitsuba's variant; by default, the fastest that works on this machine.
     flavour
-        "exact" or "stock" (see `converters.flavours`).  In the stock flavour, pixels are square, so
-        the picture may have another height than the scene says.
+        "exact" to reproduce the tracer's picture, or "stock" to approximate it with Mitsuba's
+        built-in plugins.  In the stock flavour, pixels are square, so the picture may have another
+        height than the scene says.
 
     Raises
     ------
@@ -55,7 +60,7 @@ def render_with_mitsuba(
     ValueError
         If the picture needs 2^32 samples or more, or the scene cannot be converted.
     """
-    # Mitsuba may round the number of samples up, at most to a square.
+    # Mitsuba may round the number of samples per pixel up, at most to the next square number.
     samples_per_side = isqrt((samples or DEFAULT_SAMPLES[flavour]) - 1) + 1
     total_sample_count = scene.width * scene.height * samples_per_side**2
     if total_sample_count > _MAX_SAMPLES:
@@ -67,10 +72,11 @@ def render_with_mitsuba(
 
 
 def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load the text of a converted scene, and return a function that renders it.
+    """Load the text of a Mitsuba scene file, and return a function that renders the scene.
 
-    The function may be called repeatedly.  Raise ImportError if the variant does not work on this
-    machine.
+    The function takes no arguments, and may be called repeatedly.  `variant` is the name of
+    Mitsuba's variant; None stands for the fastest that works on this machine.  Raise ImportError if
+    the variant does not work on this machine, and RuntimeError if Mitsuba cannot load the scene.
     """
     chosen_variant = use_variant(variant).variant
     import converters.plugins  # noqa: F401 (registers this project's plugins)
@@ -89,9 +95,10 @@ def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[]
 
 
 def write_exr(path: str | os.PathLike[str], image: Shaped[Floats, "height width 3"]) -> None:
-    """Write a picture of linear radiance to an EXR file, in float32.
+    """Write a picture of linear RGB radiance to an EXR file, in float32.
 
-    An existing EXR file is replaced.  Raise OSError if the file has another format.
+    An EXR file that exists at the path is replaced.  Raise OSError if the file cannot be written,
+    or a file of another kind exists there.
     """
     ensure_variant()
     stream = mi.MemoryStream()

@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     scenes = [*map(str, scene_paths)]
     output_paths = choose_output_paths(
-        parser, scenes, options.output, default_paths, mode.derive_file_paths
+        parser, scenes, options.output, default_paths, mode.list_files
     )
     if options.render:
         set_up_mitsuba(options.variant)
@@ -91,10 +91,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print its name and the reason for choosing it.
+    """Set the variant that Mitsuba uses, and print its name and the reason for choosing it.
 
-    None stands for the fastest variant that works on this machine.  If Mitsuba or the variant does
-    not work, `Failure` is raised with the exit status.
+    A variant is one of the ways in which Mitsuba computes, such as "llvm_ad_rgb".  None stands for
+    the fastest one that works on this machine.  Raise `Failure`, with the exit status, if Mitsuba
+    is not installed or the variant does not work.
     """
     try:
         import converters.rendering  # noqa: F401 (fails if Mitsuba is missing)
@@ -111,11 +112,11 @@ def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
 
 @contextmanager
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
-    """Turn errors of the converter or of Mitsuba, in a with block, into a `Failure`.
+    """Convert errors in a with block that converts or renders a scene to a `Failure`.
 
-    This applies to OSError, MemoryError, ImportError, RuntimeError and ValueError; the converter's
-    own `ConversionError` is a ValueError.  The message contains the path of the scene file, and the
-    participle, for example "rendered" for "cannot be rendered".
+    The message is "PATH: cannot be PARTICIPLE: reason", where `path` is that of the scene file, and
+    the participle is, for example, "rendered".  OSError, MemoryError, ImportError, RuntimeError and
+    ValueError are converted, because Mitsuba raises all of them.
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -125,11 +126,11 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Drop the paths of converted scenes: print a line for each of them, and return the others.
+    """Return the paths of files that this converter has not written; print a line for each other.
 
-    It is no error to name a converted scene, because the pattern *.xml also matches the XML files
-    that this command has written.  The path of a file that cannot be read is kept, because the
-    caller reads the file again and reports the error.
+    Naming a converted scene is no error, because the pattern *.xml matches converted scenes and
+    original ones.  The path of a file that cannot be read is returned, too: the caller reports the
+    error when it reads the file again.
     """
     kept_paths = []
     for path in paths:
@@ -147,10 +148,10 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
 
 
 def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
-    """Derive the paths of a PNG and an EXR file from one output path.
+    """Return the paths of the PNG file and of the EXR file for one output path, in this order.
 
-    A suffix .png or .exr is replaced in one of them.  Any other suffix is kept, so that room.v1 and
-    room.v2 give different paths.
+    They differ only in the suffix, which replaces a suffix .png or .exr of the output path.  Any
+    other suffix is kept, so that room.v1 and room.v2 give different paths.
     """
     path = Path(output_path)
     if path.suffix.lower() == ".exr":
@@ -161,7 +162,11 @@ def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments SCENE.xml, -o and --variant to a parser."""
+    """Add the arguments SCENE.xml, -o and --variant to a parser.
+
+    The parsed arguments have the attributes `scenes` (a list of paths), `output` (None if -o is not
+    given) and `variant` (None if --variant is not given).
+    """
     parser.add_argument("scenes", nargs="+", type=check_path, metavar="SCENE.xml")
     output_help = "the file to write, or a folder for the results of several scenes;"
     output_help += " a missing folder is created if PATH ends in /"
@@ -184,10 +189,10 @@ def _make_parser() -> CommandParser:
 def _convert_file(
     scene_path: Path, output_path: Path, flavour: str, options: argparse.Namespace
 ) -> None:
-    """Convert a scene file to a Mitsuba scene file, and print a line with the path of the result.
+    """Convert a scene file to a Mitsuba scene file, and print the path of the result.
 
-    Of the options, `samples` is used.  Raise `Failure` if the scene file cannot be read or
-    converted, or the result cannot be written.
+    `flavour` is "stock" or "exact".  Of the options, only `samples` is used.  Raise `Failure` if
+    the scene cannot be read or converted, or the result cannot be written.
     """
     from converters.flavours import convert
     from tracer import load_scene
@@ -209,9 +214,9 @@ def _render_file(
 ) -> None:
     """Render a scene file with Mitsuba to a PNG and an EXR file, and print their paths.
 
-    `output_path` is the path of one of them; the other file is written next to it.  Of the options,
-    `samples` and `variant` are used.  Raise `Failure` if the scene file cannot be read or rendered,
-    or a picture cannot be written.
+    For these paths, see `_derive_picture_paths`.  `flavour` is "stock" or "exact".  Of the options,
+    `samples` and `variant` are used.  Raise `Failure` if the scene cannot be read or rendered, or a
+    picture cannot be written.
     """
     from converters.rendering import render_with_mitsuba, write_exr
     from tracer import load_scene, write_png
@@ -229,25 +234,25 @@ def _render_file(
 
 
 class _Mode(NamedTuple):
-    """What the command does with each scene: conversion, or rendering (--render)."""
+    """One of the two things that the command can do with each scene: convert it, or render it."""
 
     default_flavour: str
-    suffix: str  # of the default output path
-    # Derive the paths of all files to write from the output path of a scene.
-    derive_file_paths: Callable[[str], tuple[Path, ...]]
-    # Called with the paths of the scene and of the output, the flavour, and the options.
+    suffix: str  # of the output path if -o is not given
+    # Takes the output path, and returns the paths of all files that are written.
+    list_files: Callable[[str], tuple[Path, ...]]
+    # Takes the path of the scene, the output path, the flavour and the options.
     process_scene: Callable[[Path, Path, str, argparse.Namespace], None]
 
 
 _CONVERSION = _Mode(
     default_flavour="stock",
     suffix=".mitsuba.xml",
-    derive_file_paths=lambda output_path: (Path(output_path),),
+    list_files=lambda output_path: (Path(output_path),),
     process_scene=_convert_file,
 )
 _RENDERING = _Mode(
     default_flavour="exact",
     suffix=".mitsuba.png",
-    derive_file_paths=_derive_picture_paths,
+    list_files=_derive_picture_paths,
     process_scene=_render_file,
 )

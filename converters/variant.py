@@ -1,9 +1,10 @@
-"""Choose the fastest Mitsuba variant that works on this machine: LLVM if possible, or else scalar.
+"""Choose the Mitsuba variant: by default, the fastest one that works on this machine.
 
-The variant ``llvm_ad_rgb`` needs the shared library libLLVM.  If the library is missing, Mitsuba
-reports an error.  But with some versions of LLVM (15 and 16, for example), the first kernel aborts
-the whole process.  Therefore a child process runs a small kernel first, once for each process that
-uses Mitsuba.
+A *variant* is one of the ways in which Mitsuba computes.  ``llvm_ad_rgb`` compiles the computations
+to machine code, and ``scalar_rgb`` is slower but always works.  The first needs the shared library
+libLLVM.  If the library is missing, Mitsuba reports an error.  With some versions of it (15 and 16,
+for example), however, the first *kernel* (compiled computation) aborts the whole process.
+Therefore each process that uses Mitsuba first lets a child process run a small kernel.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ if dr.thread_count() < 2:
 
 LLVM, SCALAR = "llvm_ad_rgb", "scalar_rgb"
 
-# The kernel contains the two operations at which unusable versions are known to fail: a maximum,
-# and the intersection of rays with a scene.
+# The kernel contains the two operations at which unusable versions of libLLVM are known to fail: a
+# maximum, and the intersection of rays with a scene.
 _KERNEL = f"""
 import drjit as dr
 import mitsuba as mi
@@ -56,21 +57,25 @@ if "alarm" in dir():  # not on Windows
 
 
 class VariantChoice(NamedTuple):
-    """A Mitsuba variant, and the reason for choosing it."""
+    """The name of a Mitsuba variant, and the reason for choosing it."""
 
     variant: str  # for example, "scalar_rgb"
-    reason: str  # a clause for messages to users
+    reason: str  # for messages to users: for example, "libLLVM works"
 
 
 def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> VariantChoice:
     """Find the fastest Mitsuba variant that works on this machine.
 
+    A child process tries the variant `LLVM`, which is the result if this succeeds.  If the child
+    process fails, is killed by a signal or does not end in time, the result is `SCALAR`, and its
+    reason says what happened.
+
     Parameters
     ----------
     kernel
-        Python code for the child process, which must fail if LLVM is unusable.
+        Python code for the child process.  It must fail if the LLVM variant is unusable.
     timeout
-        Seconds after which the child process is stopped, and LLVM counts as unusable.
+        Maximum time, in seconds, that the child process may take.
     """
     setup = _CHILD_SETUP.format(seconds=ceil(timeout) + 1)
     command = [sys.executable, "-c", setup + kernel]
@@ -95,10 +100,11 @@ _find_fastest_once = cache(find_fastest_variant)
 
 
 def use_variant(variant: str | None = None) -> VariantChoice:
-    """Set the variant that Mitsuba uses for the rest of this process.
+    """Set the variant that Mitsuba uses from now on in this process, and return the choice.
 
-    None stands for the fastest that works on this machine.  Raise ImportError if the variant does
-    not work here, or is not an RGB variant.
+    `variant` is the name of a variant that computes with RGB colours, or None for the fastest one
+    that works on this machine.  Raise ImportError for any other name, and if the variant does not
+    work here.
     """
     choice = _find_fastest_once()
     if variant is not None and variant != choice.variant:
@@ -114,9 +120,9 @@ def use_variant(variant: str | None = None) -> VariantChoice:
 
 
 def ensure_variant() -> None:
-    """Set the fastest Mitsuba variant that works, unless a variant is already set.
+    """Set the fastest Mitsuba variant that works on this machine, unless a variant is already set.
 
-    Most Mitsuba operations fail if no variant is set.
+    Without a variant, most functions of Mitsuba fail.
     """
     if mi.variant() is None:
         use_variant()
