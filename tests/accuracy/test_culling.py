@@ -25,7 +25,8 @@ from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Bools, Floats
-from tracer.geometry.camera import ScreenBounds, compute_frame
+from tracer.geometry.camera import compute_frame
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.sphere import Spheres
 from tracer.picture.render import PROCESSES, RenderJob
 from tracer.trace import radiance as radiance_module

@@ -25,12 +25,16 @@ import numpy as np
 
 from tracer.antialias.edge_functions import (
     EdgeValues,
-    ExtendedFaces,
     Lines,
     compute_rays,
     fit_lines,
 )
-from tracer.antialias.edges import CellSurfaces, compute_footprint_radii, evaluate_silhouettes
+from tracer.antialias.edges import (
+    CellSurfaces,
+    ExtendedFaces,
+    compute_footprint_radii,
+    evaluate_silhouettes,
+)
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, find, split_indices
@@ -207,7 +211,9 @@ def _shade_and_find_edges(
     search_radius = np.where(has_wide_footprint, 0, footprint_radius)
     shadow_edges = find_shadow_edges(hits, lights, faces_light, search_radius)
     shading.add(geometry, faces_light & ~shadow_edges.is_blocked)
-    terminators = surfaces.find_terminators(geometry)
+    terminators = surfaces.find_terminators(
+        lights.near_position, geometry.n_dot_l, geometry.squared_distance
+    )
     shadow_edge_values = surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges.edges)
     edges = chain(shadow_edge_values, terminators)
     lines, curved_cell_index = fit_lines(edges, tolerance)

@@ -39,17 +39,12 @@ from tracer.arrays import (
     Floats,
     Ints,
     Triple,
-    dot,
     find,
     mark_run_starts,
     scale,
-    take,
-    take_columns,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
 from tracer.geometry.silhouette import bound_variation
-from tracer.trace.hits import Hits
 
 # The six points of a cell relative to its centre, in units of the cell's width: the centre; the
 # centres of the right, left, lower and upper sides; and the lower right corner.
@@ -253,52 +248,3 @@ def _fit_line_batch(edges: EdgeValues, tolerance: float) -> FittedLines:
         lines=lines.take(find(has_line & crosses_cell)),
         curved_cell_index=edges.cell_index[find(is_curved)],
     )
-
-
-class ExtendedFaces(NamedTuple):
-    """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
-
-    A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
-    1 / t = d . n / (n . p).
-    """
-
-    shapes: list[Shape]  # shapes with curved faces
-    scaled_normal: Shaped[Triple, "n"]  # n / (n . p)
-    curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
-
-    @classmethod
-    def from_hits(cls, hits: Hits) -> ExtendedFaces:
-        """Collect the face that each hit is on."""
-        scaled_normal = np.empty(hits.from_eye.shape)
-        curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
-        for group in hits.groups:
-            planes = group.planes
-            run_object = np.where(planes.face_axis == NO_AXIS, group.run_object, -1)
-            curved_object[group.interval] = group.repeat_runs(run_object)
-            # The height of the eye above the plane is -(n . p).
-            for axis, component in enumerate(planes.normal):
-                scaled_component = component / -planes.eye_height
-                scaled_normal[axis, group.interval] = group.expand_to_hits(scaled_component)
-        return cls(
-            shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
-            scaled_normal=(scaled_normal[0], scaled_normal[1], scaled_normal[2]),
-            curved_object=curved_object,
-        )
-
-    def take(self, face_index: Shaped[Ints, "m"]) -> ExtendedFaces:
-        return self._replace(
-            scaled_normal=take(self.scaled_normal, face_index),
-            curved_object=self.curved_object[face_index],
-        )
-
-    def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
-        """Compute 1 / t for six rays to each face, where t * ray is the point on the face."""
-        inverse_t = dot(self.scaled_normal, ray)
-        for shape in self.shapes:
-            column = find(shape.objects.contains(self.curved_object))
-            if column.size:
-                curved_ray = take_columns(ray, column)
-                inverse_t[:, column] = shape.compute_inverse_t(
-                    CURVED_FACE, self.curved_object[column], curved_ray
-                )
-        return inverse_t

@@ -20,14 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, ExtendedFaces, compute_rays
+from tracer.antialias.edge_functions import EdgeValues, compute_rays
 from tracer.arrays import (
     Bools,
     Floats,
     Ints,
     Triple,
     dot,
-    enumerate_ranges,
     find,
     map_xyz,
     scale,
@@ -36,10 +35,8 @@ from tracer.arrays import (
     take_columns,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.shape import NO_AXIS, Shape
+from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import LightGeometry
-from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
 
@@ -66,83 +63,6 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
     The cell is straight ahead of the eye; all others subtend smaller angles.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
-
-
-class PixelObjects(NamedTuple):
-    """Pairs of a pixel and an object whose silhouette may cross it."""
-
-    row: Shaped[Ints, "n"]
-    column: Shaped[Ints, "n"]
-    object_index: Shaped[Ints, "n"]
-
-
-def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) -> PixelObjects:
-    """Find the pixels of a rectangle that the silhouette of each object may cross.
-
-    Objects are convex, so one that covers the top and bottom edges of a pixel covers the whole
-    pixel.  All other pixels that it overlaps may contain part of its silhouette.
-    """
-    interval_sets = [
-        intervals
-        for shape in scene.shapes
-        for intervals in _find_partly_covered(shape, scene, rows, columns)
-    ]
-    intervals = _PixelIntervals._make(map(np.concatenate, zip(*interval_sets, strict=True)))
-    start_column = intervals.start.clip(columns.start, columns.stop).astype(np.intp)
-    stop_column = intervals.stop.clip(columns.start, columns.stop).astype(np.intp)
-    interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
-    return PixelObjects(
-        row=intervals.row[interval_index] + rows.start,
-        column=column,
-        object_index=intervals.object_index[interval_index],
-    )
-
-
-class _PixelIntervals(NamedTuple):
-    """Ranges of pixels in a row, each paired with an object; they may be empty."""
-
-    row: Shaped[Ints, "n"]  # index among the given rows
-    object_index: Shaped[Ints, "n"]
-    # The first column, and the column after the last one; they may be outside the picture.
-    start: Shaped[Floats, "n"]
-    stop: Shaped[Floats, "n"]
-
-
-def _find_partly_covered(
-    shape: Shape, scene: PreparedScene, rows: slice, columns: slice
-) -> tuple[_PixelIntervals, _PixelIntervals]:
-    """Find the pixels of each row that objects cover in part: the left ones, and the right ones."""
-    row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
-    column_limits = (columns.start, columns.stop)
-    spans = find_object_spans(shape, scene, row_edge_y[:-1], column_limits, height=1.0)
-    object_index = spans.object_index
-    # Find the x coordinates at which the object covers the top and bottom edges of the row.
-    covered_left = spans.left
-    covered_right = spans.right
-    top_y = row_edge_y[spans.row]
-    bottom_y = row_edge_y[spans.row + 1]
-    for y in (top_y, bottom_y):
-        left_on_edge, right_on_edge = shape.find_x_range(object_index, y, 0.0)
-        covered_left = np.maximum(covered_left, left_on_edge)
-        covered_right = np.minimum(covered_right, right_on_edge)
-    bounds = scene.bounds
-    covers_row = (bounds.top[object_index] < top_y) & (bounds.bottom[object_index] > bottom_y)
-    covers_row &= covered_left < covered_right
-    overlap_start = np.floor(spans.left)
-    overlap_stop = np.floor(spans.right) + 1
-    # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
-    covered_start = np.where(covers_row, np.ceil(covered_left), overlap_stop)
-    covered_stop = np.where(covers_row, np.floor(covered_right), overlap_stop)
-    covered_start = covered_start.clip(overlap_start, overlap_stop)
-    covered_stop = covered_stop.clip(covered_start, overlap_stop)
-    return (
-        _PixelIntervals(
-            row=spans.row, object_index=object_index, start=overlap_start, stop=covered_start
-        ),
-        _PixelIntervals(
-            row=spans.row, object_index=object_index, start=covered_stop, stop=overlap_stop
-        ),
-    )
 
 
 def evaluate_silhouettes(
@@ -173,6 +93,55 @@ def evaluate_silhouettes(
                 take_columns(ray, column),
             )
             yield EdgeValues(cell_index=cell_index[column[edges.item_index]], values=edges.values)
+
+
+class ExtendedFaces(NamedTuple):
+    """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
+
+    A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
+    1 / t = d . n / (n . p).
+    """
+
+    shapes: list[Shape]  # shapes with curved faces
+    scaled_normal: Shaped[Triple, "n"]  # n / (n . p)
+    curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
+
+    @classmethod
+    def from_hits(cls, hits: Hits) -> ExtendedFaces:
+        """Collect the face that each hit is on."""
+        scaled_normal = np.empty(hits.from_eye.shape)
+        curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
+        for group in hits.groups:
+            planes = group.planes
+            run_object = np.where(planes.face_axis == NO_AXIS, group.run_object, -1)
+            curved_object[group.interval] = group.repeat_runs(run_object)
+            # The height of the eye above the plane is -(n . p).
+            for axis, component in enumerate(planes.normal):
+                scaled_component = component / -planes.eye_height
+                scaled_normal[axis, group.interval] = group.expand_to_hits(scaled_component)
+        return cls(
+            shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
+            scaled_normal=(scaled_normal[0], scaled_normal[1], scaled_normal[2]),
+            curved_object=curved_object,
+        )
+
+    def take(self, face_index: Shaped[Ints, "m"]) -> ExtendedFaces:
+        return self._replace(
+            scaled_normal=take(self.scaled_normal, face_index),
+            curved_object=self.curved_object[face_index],
+        )
+
+    def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
+        """Compute 1 / t for six rays to each face, where t * ray is the point on the face."""
+        inverse_t = dot(self.scaled_normal, ray)
+        for shape in self.shapes:
+            column = find(shape.objects.contains(self.curved_object))
+            if column.size:
+                curved_ray = take_columns(ray, column)
+                inverse_t[:, column] = shape.compute_inverse_t(
+                    CURVED_FACE, self.curved_object[column], curved_ray
+                )
+        return inverse_t
 
 
 class CellSurfaces(NamedTuple):
@@ -331,14 +300,29 @@ class CellSurfaces(NamedTuple):
                 object_index=occluder_index,
             )
 
-    def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
-        """Yield an edge for each terminator that may cross a cell.
+    def find_terminators(
+        self,
+        light_position: Shaped[Floats, "lights 3"],
+        light_height: Shaped[Floats, "lights hits"],
+        squared_distance: Shaped[Floats, "lights hits"],
+    ) -> Iterator[EdgeValues]:
+        """Yield an edge for each light and each cell that the light's terminator may cross.
 
         A terminator is where a curved face turns away from a light.  Its edge function is the
         cosine of the angle between the normal and the direction to the light.
+
+        Parameters
+        ----------
+        light_position
+            Positions of the lights, in scene axes.
+        light_height
+            Height of each light above the tangent plane at each hit; negative if the surface does
+            not face the light.
+        squared_distance
+            Square of the distance from each hit to each light.
         """
         scene = self.hits.scene
-        light_from_eye = scene.frame.point_to_camera(geometry.lights.near_position)
+        light_from_eye = scene.frame.point_to_camera(light_position)
         for group in self.hits.groups:
             if not group.shape.has_curved_face:
                 continue
@@ -346,9 +330,8 @@ class CellSurfaces(NamedTuple):
             curvature = np.where(is_curved, scene.curvature[group.run_object], 0)
             # The normal turns by at most this angle within the footprint, in radians.
             max_turn = self.footprint_radius[group.interval] * group.repeat_runs(curvature)
-            n_dot_l = geometry.n_dot_l[:, group.interval]
-            squared_distance = geometry.squared_distance[:, group.interval]
-            may_cross = n_dot_l**2 < max_turn * max_turn * squared_distance
+            max_squared_height = max_turn * max_turn * squared_distance[:, group.interval]
+            may_cross = light_height[:, group.interval] ** 2 < max_squared_height
             hit_object = group.repeat_runs(group.run_object)
             for pair_index in split_indices(find(may_cross)):
                 light_index, index_in_group = np.divmod(pair_index, max_turn.size)

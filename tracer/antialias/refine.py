@@ -42,9 +42,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify_cells
-from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
+from tracer.antialias.silhouette_pixels import find_silhouette_pixels
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, find, split_indices
 from tracer.trace.radiance import compute_radiance_and_visibility

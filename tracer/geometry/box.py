@@ -26,7 +26,7 @@ from tracer.arrays import (
     take,
     take_2d,
 )
-from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import (
     INSIDE,
@@ -37,6 +37,7 @@ from tracer.geometry.rounding import (
     SURFACE_TOLERANCE,
     compute_hit_tolerance,
 )
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import (
     FaceHits,
     Shape,

@@ -13,22 +13,13 @@ the picture shows.  Positions and lengths in the picture are in pixels; x points
 
 from __future__ import annotations
 
-from math import ceil
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot
+from tracer.arrays import Floats, Triple, dot
 from tracer.scene.model import Camera, normalize
-
-# Thickness of a layer of depth, as a multiple of the width of a packet at this depth: see
-# `CameraFrame.assign_layer`.  Tuned on six scenes of 4 to 1,000 objects: with half of it, rendering
-# takes 1.03 to 1.06 times as long.
-_LAYER_ASPECT = 4
-
-# The bits of a positive float, read as an integer, increase by this much when the float doubles.
-_BITS_PER_OCTAVE = 2**52
 
 
 class CameraFrame(NamedTuple):
@@ -93,20 +84,6 @@ class CameraFrame(NamedTuple):
         """Invert `to_ray_y`."""
         return (ray_y - self.center_down) / self.pixel_height + self.height / 2
 
-    def assign_layer(self, depth: Shaped[Floats, "n"], packet_width: float) -> Shaped[Ints, "n"]:
-        """Assign each positive depth to a layer; layers farther from the eye have larger numbers.
-
-        Hits that are neighbours in the picture form packets, which are `packet_width` pixels wide.
-        Such hits may be far apart in the scene, so a packet contains only hits in the same layer.
-        The thickness of a layer is `_LAYER_ASPECT` times the width of a packet at that depth.
-        """
-        relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
-        # Layers should have equal ratios of their farthest to their nearest depth, so their numbers
-        # should grow with the logarithm of the depth.  Instead of the logarithm, which is slower,
-        # take the bits of the float, read as an integer: exponent bits, then mantissa bits.  They
-        # grow by `_BITS_PER_OCTAVE` whenever the depth doubles, and linearly in between.
-        return depth.view(np.int64) // max(1, int(_BITS_PER_OCTAVE * relative_thickness))
-
     @property
     def max_ray_size(self) -> float:
         """Upper bound on |ray_x| + |ray_y| + depth for the directions of all camera rays."""
@@ -142,88 +119,3 @@ def compute_frame(
         width=width,
         height=height,
     )
-
-
-class ScreenBounds(NamedTuple):
-    """Bounding rectangles of n objects in the picture.
-
-    The rectangle of an object that is not visible is outside the picture, or top > bottom.
-    """
-
-    top: Shaped[Floats, "n"]
-    bottom: Shaped[Floats, "n"]
-    left: Shaped[Floats, "n"]
-    right: Shaped[Floats, "n"]
-
-    @classmethod
-    def from_slopes(
-        cls,
-        frame: CameraFrame,
-        y_slopes: tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]],
-        x_slopes: tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]],
-    ) -> ScreenBounds:
-        """Compute the rectangles from the smallest and largest slopes of rays that meet objects.
-
-        The slope of a ray is ray_y / depth (y slope) or ray_x / depth (x slope).
-        """
-        top, bottom = (frame.to_picture_y(slope * frame.depth) for slope in y_slopes)
-        left, right = (frame.to_picture_x(slope * frame.depth) for slope in x_slopes)
-        return cls(top=top, bottom=bottom, left=left, right=right)
-
-    def select(self, selection: Shaped[Bools, "n"] | slice) -> ScreenBounds:
-        """Select rectangles by mask or slice."""
-        return ScreenBounds._make(side[selection] for side in self)
-
-    def is_in_picture(self, frame: CameraFrame) -> Shaped[Bools, "n"]:
-        """Test whether each rectangle overlaps the picture: False for objects surely not visible.
-
-        The picture is enlarged by one pixel on each side, as a margin for rounding errors.
-        Occlusion by other objects is ignored.
-        """
-        is_in_rows = (self.top <= frame.height + 1) & (self.bottom >= -1)
-        is_in_columns = (self.left <= frame.width + 1) & (self.right >= -1)
-        is_in_picture: Bools = is_in_rows & is_in_columns
-        return is_in_picture
-
-    def find_visible_pixels(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Find the rows and columns of pixels that contain all visible objects; may be empty."""
-        visible = self.select(self.is_in_picture(frame))
-        rows = _find_covered_pixels(visible.top, visible.bottom, frame.height)
-        columns = _find_covered_pixels(visible.left, visible.right, frame.width)
-        return rows, columns
-
-    def compute_depth_complexity(self, frame: CameraFrame) -> float:
-        """Compute an upper bound on the mean number of objects per ray in any row of pixels.
-
-        Objects behind other objects count, too.
-        """
-        bounds = self.select(self.is_in_picture(frame))
-        width = frame.width
-        covered_width = np.clip(bounds.right + 1, 0, width) - np.clip(bounds.left - 1, 0, width)
-        # From row to row, add the widths of objects that begin and subtract those that end.
-        order = np.append(bounds.top - 1, bounds.bottom + 1).argsort()
-        width_change = np.append(covered_width, -covered_width)[order]
-        return float(width_change.cumsum().max(initial=0) / width)
-
-    def estimate_silhouette_pairs(self, frame: CameraFrame) -> float:
-        """Estimate how many pairs of silhouettes cross the same pixel, on average.
-
-        The pairs (i, j) and (j, i) both count.  Objects are assumed to be as tall as they are wide,
-        and to lie at random positions.
-        """
-        top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
-        # A silhouette that is as tall as it is wide crosses about 4 * height pixels.
-        crossing_probability = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
-        return float(crossing_probability.sum() ** 2 - (crossing_probability**2).sum())
-
-
-def _find_covered_pixels(
-    starts: Shaped[Floats, "n"], stops: Shaped[Floats, "n"], pixel_count: int
-) -> slice:
-    """Return a slice of the pixels 0 to pixel_count - 1 that covers all intervals, with a margin.
-
-    Interval i extends from starts[i] to stops[i].
-    """
-    # A margin of one pixel at each end allows for rounding errors.
-    start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
-    return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))

@@ -37,8 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, Sides, Triple
-from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import ObjectRange
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.scene.model import Surfaces
 
 # Stands for the axis of a planar face (0, 1 or 2) at hits on curved faces.

@@ -24,7 +24,7 @@ from tracer.arrays import (
     scale,
     take,
 )
-from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import (
     LIGHT_TOLERANCE,
@@ -36,6 +36,7 @@ from tracer.geometry.rounding import (
     compute_hit_tolerance,
     determine_side,
 )
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import NO_AXIS, Shape, SilhouetteEdges, TangentPlanes
 from tracer.geometry.silhouette import compute_miss_angles
 from tracer.scene.model import Sphere, Surfaces

@@ -263,7 +263,7 @@ def _find_visible_objects(prepared_scene: PreparedScene) -> Shaped[Ints, "n"]:
 
     Return their object indices in ascending order.
     """
-    rows, columns = prepared_scene.window
+    rows, columns = prepared_scene.visible_pixels
     index_batches = [np.zeros(0, dtype=np.intp)]
     column_count = columns.stop - columns.start
     if column_count > 0:

@@ -501,8 +501,9 @@ class RenderJob:
         row_count = rows.stop - rows.start
         column_count = columns.stop - columns.start
         radiance = np.zeros((row_count, column_count, 3)) if out is None else out
-        # Only pixels in the scene's window can show an object.
-        visible_rows, visible_columns = map(_intersect_ranges, rectangle, prepared_scene.window)
+        # No object is visible in other pixels, so they stay black.
+        visible_pixels = prepared_scene.visible_pixels
+        visible_rows, visible_columns = map(_intersect_ranges, rectangle, visible_pixels)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
         visible_radiance = radiance[_to_inner_range(visible_rows, rows)]

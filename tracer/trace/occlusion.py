@@ -72,6 +72,7 @@ from tracer.arrays import (
 from tracer.geometry.rounding import ON
 from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits
+from tracer.trace.packet_size import assign_depth_layers, compute_samples_per_side
 from tracer.trace.samples import Scattered
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights
@@ -376,13 +377,14 @@ def build_packet_levels(
 
     With a margin, bounding spheres contain all points within this distance of each hit.
     """
-    samples_across_packet = hits.scene.packet_width * hits.samples.per_pixel_side
+    samples_per_side = compute_samples_per_side(hits.samples)
+    samples_across_packet = hits.scene.packet_width * samples_per_side
     max_row_hits = int(min(max(samples_across_packet, 1), _MAX_ROW_HITS))
     row_packets = _build_row_packets(hits, faces_light, margin, max_row_hits)
     square_side = int(min(samples_across_packet, _MAX_SQUARE_SIDE))  # in samples
     if square_side < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_build_square_packets(hits, row_packets, square_side / hits.samples.per_pixel_side)]
+    return [*_build_square_packets(hits, row_packets, square_side / samples_per_side)]
 
 
 def _build_row_packets(
@@ -431,7 +433,8 @@ def _build_square_packets(
         square_coordinate -= square_coordinate.min()
         group_key = group_key * (square_coordinate.max() + 1) + square_coordinate
     order = group_key.argsort(kind="stable")
-    depth_layer = hits.scene.frame.assign_layer(hits.from_eye[2].take(first_hit), square_width)
+    depth = hits.from_eye[2].take(first_hit)
+    depth_layer = assign_depth_layers(hits.scene.frame, depth, square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     first_child, child_count = find_runs(group_key[order], depth_layer[order])
     return _merge_row_packets(row_packets, first_child, child_count), row_packets

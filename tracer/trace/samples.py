@@ -1,20 +1,21 @@
-"""Samples: positions in the picture, and which objects may be visible at each of them.
+"""Samples: the positions in the picture through which rays are traced.
 
-There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at
-arbitrary positions.  Both kinds have the same interface: the attribute `y` and the properties
-`size` and `per_pixel_side`, and the methods `compute_ray_x`, `get_positions` and `find_spans`.  The
-last one finds all pairs of a sample and an object that the ray through the sample may meet.  The
-pairs are arranged in *spans*: a span is the part of one row that one object covers.  Other objects
-may hide it.
+`Samples` is the interface of two kinds of samples: `Rows` of equally spaced samples, and
+`Scattered` samples at arbitrary positions.
 
-All positions and lengths are in pixels; positions are measured from the upper left corner of the
-picture.
+Not every ray has to be tested with every object.  A *span* is the part of a row that one object
+covers, whether or not another object hides it there.  `find_object_spans` finds these parts, and
+`Samples.find_spans` lists the samples in them.
+
+Positions and lengths are in pixels, from the upper left corner of the picture; y points down.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Annotated as Shaped
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,14 +24,9 @@ from tracer.geometry.camera import CameraFrame
 from tracer.geometry.shape import Shape
 from tracer.world.prepared_scene import PreparedScene
 
-# Spans are widened on both sides by this many pixels (of scattered samples) or samples (of rows):
-# far more than their rounding errors.
+# Spans are widened by this length on both sides: far more than their rounding errors.  The unit is
+# the distance between two columns for `Rows`, and a pixel for `Scattered`.
 _SPAN_PADDING = 0.5
-
-# Weights of the numbers of samples along x and along y in `Rows.per_pixel_side`, a weighted
-# geometric mean.
-_X_WEIGHT = 0.75
-_Y_WEIGHT = 1 - _X_WEIGHT
 
 # Scattered samples are sorted along a row if they are at most this many pixels from the left edge
 # of the picture.  Samples farther away are treated as equally far, so they are tested with more
@@ -39,21 +35,12 @@ _MAX_SORTED_X = 2.0**20
 
 
 class ObjectSpans(NamedTuple):
-    """The parts of rows that objects cover."""
+    """The parts of rows that objects cover, sorted by object and then by row."""
 
     object_index: Shaped[Ints, "n"]
     row: Shaped[Ints, "n"]  # index among the given rows
     left: Shaped[Floats, "n"]
     right: Shaped[Floats, "n"]  # at least `left`
-
-
-class SampleSpans(NamedTuple):
-    """Ranges of consecutive samples in a row, each paired with an object."""
-
-    object_index: Shaped[Ints, "spans"]
-    row: Shaped[Ints, "spans"]  # index into `y` of the samples
-    first_sample: Shaped[Ints, "spans"]
-    sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
 
 
 def find_object_spans(
@@ -64,19 +51,19 @@ def find_object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> ObjectSpans:
-    """Find the spans that objects of one shape cover in rows of the picture.
+    """Find the part of each row of the picture that each object of one shape covers.
 
     Parameters
     ----------
     row_top
-        Tops of the rows, in ascending order.
+        Upper edges of the rows, in ascending order.
     x_range
-        Objects entirely to the left or right of this interval are skipped.
+        Smallest and largest x.  Objects entirely to the left or to the right are skipped.
     height
-        Height of the rows.  A row of height 0 is a line, whose spans are exact except for rounding
+        Height of each row.  A row of height 0 is a line, whose spans are exact except for rounding
         errors.
     pad
-        Length by which to widen the spans on both sides.
+        Length by which to widen each span on both sides.
     """
     bounds = scene.bounds.select(shape.objects.slice)
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
@@ -97,49 +84,79 @@ def find_object_spans(
     )
 
 
-class Rows(NamedTuple):
-    """Samples in rows, numbered row by row."""
+class SampleSpans(NamedTuple):
+    """Ranges of consecutive samples in a row, each paired with an object."""
 
-    y: Shaped[Floats, "rows"]  # in ascending order
+    object_index: Shaped[Ints, "spans"]
+    row: Shaped[Ints, "spans"]  # index into `y` of the samples
+    first_sample: Shaped[Ints, "spans"]
+    sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Samples(ABC):
+    """Positions in the picture, numbered from 0 and arranged in rows of equal y."""
+
+    y: Shaped[Floats, "rows"]
+    # Numbers of samples in a pixel along x and along y.
+    per_pixel: tuple[int, int]
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of samples."""
+
+    @abstractmethod
+    def compute_ray_x(self, frame: CameraFrame) -> Shaped[Floats, "samples"]:
+        """Compute `ray_x`, the rightward component of the ray through each sample.
+
+        The directions of rays are explained in `tracer.geometry.camera`.
+        """
+
+    @abstractmethod
+    def get_positions(
+        self, sample_index: Shaped[Ints, "k"]
+    ) -> tuple[Shaped[Floats, "k"], Shaped[Floats, "k"]]:
+        """Return x and y of the samples with the given indices."""
+
+    @abstractmethod
+    def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
+        """Find spans of samples whose rays may meet objects of one shape.
+
+        Rays outside the spans of an object certainly miss the object.  Spans may be empty.
+        """
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rows(Samples):
+    """Samples in rows of one length, numbered row by row; `y` is in ascending order."""
+
     x: Shaped[Floats, "columns"]  # in ascending order, with a spacing of 1 / per_pixel[0]
     shift: Shaped[Floats, "rows"]  # length by which the samples of each row are shifted right
-    per_pixel: tuple[int, int] = (1, 1)  # numbers of samples in a pixel along x and along y
 
     @property
     def size(self) -> int:
-        """Number of samples."""
         return self.x.size * self.y.size
 
-    @property
-    def per_pixel_side(self) -> float:
-        """Weighted geometric mean of the numbers of samples across a pixel along x and y.
-
-        It determines the size of packets (groups of neighbouring hits).  The weight of x is larger,
-        because most packets lie along a row.
-        """
-        x_count, y_count = self.per_pixel
-        return float(x_count**_X_WEIGHT * y_count**_Y_WEIGHT)
-
     def compute_ray_x(self, frame: CameraFrame) -> Shaped[Floats, "rows*columns"]:
-        """Compute `ray_x`, the rightward component of the ray through each sample."""
         return np.add.outer(self.shift * frame.pixel_width, frame.to_ray_x(self.x)).ravel()
 
     def get_positions(
         self, sample_index: Shaped[Ints, "k"]
     ) -> tuple[Shaped[Floats, "k"], Shaped[Floats, "k"]]:
-        """Return x and y of selected samples."""
         row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
-        """Find spans of samples at which objects of one shape may be visible; some are empty."""
-        row_size, per_pixel = self.x.size, self.per_pixel[0]
-        # Samples are shifted by at most half the distance between two columns, or half a pixel.
+        row_size = self.x.size
+        samples_per_x = self.per_pixel[0]
+        # Rows are shifted by at most half the distance between two columns, or half a pixel.
         x_range = self.x[0] - 1, self.x[-1] + 1
-        spans = find_object_spans(shape, scene, self.y, x_range, pad=_SPAN_PADDING / per_pixel)
-        # Positions relative to the first sample of the row, in samples.
+        spans = find_object_spans(shape, scene, self.y, x_range, pad=_SPAN_PADDING / samples_per_x)
         first_x = self.x[0] + self.shift[spans.row]
-        left, right = (spans.left - first_x) * per_pixel, (spans.right - first_x) * per_pixel
+        # Positions relative to the first sample of the row, in samples.
+        left = (spans.left - first_x) * samples_per_x
+        right = (spans.right - first_x) * samples_per_x
         span_start = np.ceil(left).clip(0, row_size).astype(np.intp)
         span_end = (np.floor(right) + 1).clip(0, row_size).astype(np.intp)
         return SampleSpans(
@@ -150,59 +167,61 @@ class Rows(NamedTuple):
         )
 
 
-class Scattered(NamedTuple):
-    """Samples at arbitrary positions, sorted by row of pixels, and along each row."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scattered(Samples):
+    """Samples at arbitrary positions; each is a row of its own, with its own y.
 
-    y: Shaped[Floats, "n"]
-    x: Shaped[Floats, "n"]
-    # Index of the first sample in each row of pixels.  Rows without samples are omitted.
-    row_start: Shaped[Ints, "rows"]
-    # The row and x of each sample, encoded by `_encode_position`.  The keys ascend, except for
-    # rounding errors much smaller than `_SPAN_PADDING`.
-    sort_key: Shaped[Floats, "n"]
+    They are sorted by row of pixels and then by x.  Their number in a pixel is not known, and
+    assumed to be 1.
+    """
+
+    per_pixel: tuple[int, int] = (1, 1)
+    x: Shaped[Floats, "rows"]
+    # Index of the first sample in each row of pixels.  Rows of pixels without samples are omitted.
+    pixel_row_start: Shaped[Ints, "pixel_rows"]
+    # The row of pixels (numbered from 1) and the x of each sample, encoded by `_encode_position`.
+    # The keys ascend, except for rounding errors much smaller than `_SPAN_PADDING`.
+    sort_key: Shaped[Floats, "rows"]
 
     @classmethod
     def from_positions(
         cls, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
     ) -> tuple[Scattered, Shaped[Ints, "n"]]:
-        """Sort finite positions, and return also their order: sample i is at position order[i]."""
+        """Create samples at finite positions, and return their order, too.
+
+        The samples are sorted, so sample i is at the position (x[order[i]], y[order[i]]).
+        """
         order = np.lexsort((x, np.floor(y)))
-        y, x = y[order], x[order]
-        is_row_start = mark_run_starts(np.floor(y))
+        sorted_x = x[order]
+        sorted_y = y[order]
+        is_start = mark_run_starts(np.floor(sorted_y))
         samples = cls(
-            y=y,
-            x=x,
-            row_start=find(is_row_start),
-            sort_key=_encode_position(is_row_start.cumsum(), x),
+            y=sorted_y,
+            x=sorted_x,
+            pixel_row_start=find(is_start),
+            sort_key=_encode_position(is_start.cumsum(), sorted_x),
         )
         return samples, order
 
     @property
     def size(self) -> int:
-        """Number of samples."""
         return self.x.size
 
-    @property
-    def per_pixel_side(self) -> float:
-        """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
-        return 1.0
-
-    def compute_ray_x(self, frame: CameraFrame) -> Shaped[Floats, "n"]:
-        """Compute `ray_x`, the rightward component of the ray through each sample."""
+    def compute_ray_x(self, frame: CameraFrame) -> Shaped[Floats, "rows"]:
         return frame.to_ray_x(self.x)
 
     def get_positions(
         self, sample_index: Shaped[Ints, "k"]
     ) -> tuple[Shaped[Floats, "k"], Shaped[Floats, "k"]]:
-        """Return x and y of selected samples."""
         return self.x[sample_index], self.y[sample_index]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
-        """Find samples at which objects of one shape may be visible, as spans of one sample."""
-        row_top = np.floor(self.y[self.row_start])
+        """Find samples whose rays may meet objects of one shape, as spans of one sample."""
+        pixel_row_top = np.floor(self.y[self.pixel_row_start])
         x_range = self.x.min(initial=0), self.x.max(initial=0)
-        spans = find_object_spans(shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING)
-        # The rows in `sort_key` are numbered from 1.
+        spans = find_object_spans(
+            shape, scene, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
+        )
         left_key = _encode_position(spans.row + 1, spans.left)
         right_key = _encode_position(spans.row + 1, spans.right)
         span_start = self.sort_key.searchsorted(left_key)
@@ -211,21 +230,18 @@ class Scattered(NamedTuple):
         span_index, sample_index = enumerate_ranges(span_size, span_start)
         return SampleSpans(
             object_index=spans.object_index[span_index],
-            row=sample_index,  # `y` has one element for each sample
+            row=sample_index,
             first_sample=sample_index,
             sample_count=None,
         )
 
 
 def _encode_position(row: Shaped[Ints, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:
-    """Encode each position as a number that sorts by row, and then by x, which may be infinite.
+    """Encode each position as one number, so that the numbers sort by row and then by x.
 
-    Rows are at most `schema.MAX_PIXELS`.  Two positions may have equal numbers if they differ by
-    very little, or if both are farther from the left edge than `_MAX_SORTED_X`.
+    `x` may be infinite, and `row` is at most `schema.MAX_PIXELS`.  Two positions may have equal
+    numbers if they differ by very little, or if both are farther from the left edge of the picture
+    than `_MAX_SORTED_X`.
     """
     # The product is exact, so rounding never reverses the order of two positions.
     return np.asarray(row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X))
-
-
-# Positions in the picture through which rays are traced.
-Samples: TypeAlias = Rows | Scattered

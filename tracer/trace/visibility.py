@@ -24,12 +24,13 @@ from tracer.arrays import Bools, Floats, Ints, find, join_ranges, mark_run_start
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits, ShapeHits
+from tracer.trace.packet_size import assign_depth_layers
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene
 
 # The hits of a run should be close together, so that their bounding sphere is small.  Therefore the
 # picture is divided into vertical strips of this width, in pixels, and the scene into layers:
-# intervals of the depth, about as thick as a few strips are wide (see `CameraFrame.assign_layer`).
+# intervals of the depth, about as thick as a few strips are wide (see `assign_depth_layers`).
 # A run of scattered samples ends where the next hit is in another strip or layer.
 _RUN_WIDTH = 4.0
 
@@ -117,7 +118,7 @@ class _Intersections(NamedTuple):
         if self.sample_count is None:
             x, y = samples.get_positions(self.sample_index)
             strip, row = np.floor(x / _RUN_WIDTH), np.floor(y)
-            depth_layer = frame.assign_layer(depth, _RUN_WIDTH)
+            depth_layer = assign_depth_layers(frame, depth, _RUN_WIDTH)
             is_start |= mark_run_starts(self.object_index, row, strip, depth_layer)
         else:
             span_start = self.sample_count.cumsum() - self.sample_count

@@ -19,9 +19,10 @@ import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
-from tracer.geometry.camera import CameraFrame, ScreenBounds, compute_frame
+from tracer.geometry.camera import CameraFrame, compute_frame
 from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import POSITION_ROUNDING
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import Shape
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
@@ -100,7 +101,7 @@ class PreparedScene:
     is_duplicate: Shaped[Bools, "objects"]
     # Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
     depth_complexity: float
-    window: tuple[slice, slice]  # rows and columns of pixels that contain all visible objects
+    visible_pixels: tuple[slice, slice]  # rows and columns outside which no object is visible
     light_count: int
     diffuse: Shaped[Floats, "3 objects"]  # linear RGB
     specular: Shaped[Floats, "3 objects"]
@@ -139,7 +140,7 @@ class PreparedScene:
         # Rectangles with top > bottom are not visible.
         self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
         self.depth_complexity = self.bounds.compute_depth_complexity(self.frame)
-        self.window = self.bounds.find_visible_pixels(self.frame)
+        self.visible_pixels = self.bounds.find_visible_pixels(self.frame)
         self.packet_width = _choose_packet_width(self.frame, coordinate_bound.size)
 
     def _prepare_shaders(self) -> None:
