@@ -1,8 +1,9 @@
 """Measure what each mechanism of speed or accuracy gains, by switching it off.
 
-``python -m reference.mechanisms`` writes `mechanisms.md` into this folder.  A mechanism, one of
-those in `mechanisms.json`, is switched off by a replacement of text in a copy of the tracer.  Both
-tracers render the scene that needs the mechanism, alternately, each time in a process of its own.
+``python -m reference.mechanisms`` writes `mechanisms.md` into this folder.  `mechanisms.json` lists
+the mechanisms.  Each is switched off by replacing text in a copy of the tracer.  Then the tracer
+with the mechanism and the one without it render a scene alternately, each picture in a process of
+its own.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -40,53 +42,26 @@ from tracer.command.progress import track
 
 _PROJECT = REFERENCE_FOLDER.parent
 
-# Pictures differ by less than this fraction of their largest value if a mechanism only saves time:
-# sums in another order differ in the last digits.
+# A mechanism that only saves time may change pictures by this fraction of their largest value: sums
+# in another order differ in the last digits.
 _SAME_PICTURE = 1e-10
 
 # Largest error of the certified pictures from which errors are measured.
 _CERTIFIED_ERROR = 1 / 4096
 
-# Scenes with more than this many pairs of an object and a light are not certified, which would take
-# minutes, but rendered with this many samples along each side of a pixel.
-_MAX_CERTIFIED_PAIRS, _GRID_SIDE = 300, 24
+# Maximum product of the numbers of objects and of lights in a scene that is certified.  Certifying
+# larger scenes would take minutes.
+_MAX_CERTIFIED_PAIRS = 300
 
-# Numbers of rounds in which both tracers render a scene.
-_ROUNDS, _QUICK_ROUNDS = 3, 1
+# Larger scenes are rendered with this many samples along each side of a pixel.
+_GRID_SIDE = 24
 
-# A program that renders a scene file with the tracer in the first folder of Python's path.  Its
-# arguments are the scene file, the number of samples per pixel, and the file for the picture.  It
-# prints two numbers: the CPU time of the picture in seconds, and the number of times that an object
-# is tested with a ray, segment or capsule.  The first picture warms up the tracer and is not timed.
-# A quick picture is rendered several times, and the least time is printed.
-_MEASURE_SCRIPT = """
-import json, sys, time, warnings
-import numpy as np
-warnings.simplefilter("ignore")
-import tracer
-from tracer.geometry.box import Boxes
-from tracer.geometry.sphere import Spheres
-count = 0
-def count_tests(function):
-    def counted(*arguments):
-        global count
-        result = function(*arguments)
-        count += np.size(result[0] if isinstance(result, tuple) else result)
-        return result
-    return counted
-for shape in (Spheres, Boxes):
-    for name in ("intersect", "occludes", "test_capsules"):
-        setattr(shape, name, count_tests(getattr(shape, name)))
-scene = tracer.load_scene(sys.argv[1])
-tracer.render(scene, int(sys.argv[2]))
-seconds = []
-while sum(seconds) < 0.3:
-    count, start = 0, time.process_time()
-    image = tracer.render(scene, int(sys.argv[2]))
-    seconds.append(time.process_time() - start)
-np.save(sys.argv[3], image)
-print(json.dumps([min(seconds), count]))
-"""
+# Number of times that both tracers render a scene, and the number with the option --quick.
+_ROUNDS = 3
+_QUICK_ROUNDS = 1
+
+# The program that renders a picture, and counts the tests.
+_MEASURE_SCRIPT = REFERENCE_FOLDER / "measured" / "counted_render.py"
 
 
 class Mechanism(NamedTuple):
@@ -94,33 +69,33 @@ class Mechanism(NamedTuple):
 
     name: str
     purpose: str  # one sentence: what it does
-    lines: int  # lines of code that serve it; those that serve several mechanisms count for each
+    lines: int  # lines of code that serve it; other mechanisms may share some of them
     module: str  # the file in tracer/ that contains `text`
     text: str  # occurs once in the module, and is replaced by `replacement`
     replacement: str
     scene: str  # the scene that needs it: see `load_named_scene`
     samples: int  # samples per pixel
-    # Minimum ratios of the error and of the number of tests without the mechanism to those with it;
-    # 0 if nothing is claimed.  An error ratio below 1 is a cost: the mechanism saves time, but the
-    # picture is less accurate with it than without it.
+    # Minimum values of the fields of `Gains`, which tests/tools/test_mechanisms.py checks; 0 if
+    # nothing is claimed.  An error ratio below 1 is a cost: the mechanism saves time, but makes the
+    # picture less accurate.
     min_error_ratio: float = 0.0
     min_test_ratio: float = 0.0
 
 
 class Measured(NamedTuple):
-    """What one process measures."""
+    """A picture, and what it cost."""
 
     seconds: float  # CPU time
     test_count: int  # how often an object is tested with a ray, segment or capsule
-    image: Floats
+    image: Shaped[Floats, "height width 3"]  # linear radiance
 
 
 class Gains(NamedTuple):
     """What a picture costs without a mechanism, divided by what it costs with it."""
 
-    time_ratio: float  # of the least times of all rounds
-    test_ratio: float
-    error_ratio: float  # of the RMSE; 1 if the pictures are the same
+    time_ratio: float  # of the CPU times
+    test_ratio: float  # of the numbers of tests
+    error_ratio: float  # of the root mean square errors; 1 if the pictures are the same
 
 
 _TABLE = Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
@@ -138,15 +113,17 @@ WORKLOADS: dict[str, Callable[[], Scene]] = {
     "200 dim lights": partial(workloads.build_dim_lights_scene, 200),
     "field of 1,000": partial(workloads.build_field_scene, 1000),
     "field of 10,000": partial(workloads.build_field_scene, 10_000),
-    "crowd of 3,000": partial(workloads.crowd, 3000, width=96, height=54),
+    "crowd of 3,000": partial(workloads.build_crowd_scene, 3000, width=96, height=54),
 }
 """Scenes that are built, by name."""
 
 
 def load_named_scene(name: str) -> Scene:
-    """Build a workload, or read a file of `tests/scenes` or of `scenes`.
+    """Load the scene that a mechanism of `mechanisms.json` names.
 
-    A name such as "room 640×360" asks for a picture of this size.
+    The name is a key of `WORKLOADS`; or that of a file in `tests/scenes` or in `scenes`, without
+    the suffix, as in "room".  After it, a size may follow, as in "room 640×360", which replaces the
+    size of the picture in the file.
     """
     if name in WORKLOADS:
         return WORKLOADS[name]()
@@ -162,10 +139,7 @@ def load_named_scene(name: str) -> Scene:
 def remove_mechanism(mechanism: Mechanism) -> str:
     """Return the source of the mechanism's module without the mechanism.
 
-    Raises
-    ------
-    ValueError
-        If the mechanism's text does not occur exactly once.
+    Raise ValueError if the mechanism's text does not occur exactly once in the module.
     """
     source = (_PROJECT / "tracer" / mechanism.module).read_text(encoding="utf-8")
     if source.count(mechanism.text) != 1:
@@ -183,55 +157,63 @@ def copy_tracer(folder: Path, mechanism: Mechanism | None = None) -> Path:
 
 
 def measure(tracer_folder: Path, scene_file: Path, samples: int) -> Measured:
-    """Render a scene file with the tracer in a folder, in a process of its own."""
+    """Render a scene file in a new process, with the tracer that a folder contains."""
     picture_file = tracer_folder / "picture.npy"
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    command = [
-        sys.executable,
-        "-c",
-        _MEASURE_SCRIPT,
-        *map(str, (scene_file, samples, picture_file)),
-    ]
-    # Python looks for the tracer in the working folder first.
-    process = subprocess.run(
-        command, cwd=tracer_folder, env=environment, check=True, stdout=subprocess.PIPE
-    )
+    arguments = _MEASURE_SCRIPT, scene_file, samples, picture_file
+    command = sys.executable, *map(str, arguments)
+    environment = {**os.environ, "PYTHONPATH": str(tracer_folder), "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE)
     seconds, test_count = json.loads(process.stdout)
     return Measured(seconds=seconds, test_count=test_count, image=np.load(picture_file))
 
 
-def compute_truth(scene: Scene) -> Floats:
+def compute_gains(mechanism: Mechanism, rounds: int) -> Gains:
+    """Render the scene that needs a mechanism with it and without it, and compare the costs.
+
+    Both pictures are rendered `rounds` times, and their least times are compared.
+    """
+    scene = load_named_scene(mechanism.scene)
+    results_with: list[Measured] = []
+    results_without: list[Measured] = []
+    with TemporaryDirectory() as name:
+        scene_file = Path(name, "scene.xml")
+        save_scene(scene, scene_file)
+        folder_with = copy_tracer(Path(name, "with"))
+        folder_without = copy_tracer(Path(name, "without"), mechanism)
+        for _ in range(rounds):
+            results_with.append(measure(folder_with, scene_file, mechanism.samples))
+            results_without.append(measure(folder_without, scene_file, mechanism.samples))
+    seconds_with = min(result.seconds for result in results_with)
+    seconds_without = min(result.seconds for result in results_without)
+    with_it = results_with[0]
+    without_it = results_without[0]
+    return Gains(
+        time_ratio=seconds_without / seconds_with,
+        test_ratio=without_it.test_count / with_it.test_count,
+        error_ratio=_compute_error_ratio(scene, with_it.image, without_it.image),
+    )
+
+
+def _compute_error_ratio(
+    scene: Scene,
+    image_with: Shaped[Floats, "height width 3"],
+    image_without: Shaped[Floats, "height width 3"],
+) -> float:
+    """Divide the error of the picture without a mechanism by that of the picture with it.
+
+    The ratio is 1 if the pictures differ only in the last digits.
+    """
+    if np.abs(image_with - image_without).max() <= _SAME_PICTURE * image_with.max():
+        return 1.0
+    truth = compute_truth(scene)
+    return compute_rms_error(image_without, truth) / compute_rms_error(image_with, truth)
+
+
+def compute_truth(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """Compute the mean radiance of each pixel, so accurately that pictures can be judged by it."""
     if len(scene.surfaces) * len(scene.lights) > _MAX_CERTIFIED_PAIRS:
         return render_supersampled(scene, _GRID_SIDE)
     return certify(scene, _CERTIFIED_ERROR).image
-
-
-def compute_gains(mechanism: Mechanism, rounds: int) -> Gains:
-    """Render the scene that needs a mechanism with it and without it, and compare the costs."""
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        scene = load_named_scene(mechanism.scene)
-        save_scene(scene, scene_file := folder / "scene.xml")
-        folders = copy_tracer(folder / "with"), copy_tracer(folder / "without", mechanism)
-        results = [
-            [measure(each, scene_file, mechanism.samples) for each in folders]
-            for _ in range(rounds)
-        ]
-    with_it, without_it = results[0]
-    least_with, least_without = (
-        min(result.seconds for result in each) for each in zip(*results, strict=True)
-    )
-    error_ratio = 1.0
-    if np.abs(with_it.image - without_it.image).max() > _SAME_PICTURE * with_it.image.max():
-        truth = compute_truth(scene)
-        errors = [compute_rms_error(result.image, truth) for result in results[0]]
-        error_ratio = errors[1] / errors[0]
-    return Gains(
-        time_ratio=least_without / least_with,
-        test_ratio=without_it.test_count / with_it.test_count,
-        error_ratio=error_ratio,
-    )
 
 
 def main() -> None:

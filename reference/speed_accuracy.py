@@ -35,7 +35,7 @@ from reference.judges.certificate import certify
 from reference.judges.sampling import compute_rms_error, render_supersampled
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_alternately
-from reference.measured.workloads import copy_with_picture_size, crowd
+from reference.measured.workloads import build_crowd_scene, copy_with_picture_size
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
@@ -293,7 +293,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
         ("four-spheres", load_scene(SCENES / "four-spheres.xml"), 320, 180),
         ("sticks-perspective", sticks, 320, 180),
         ("sticks-perspective", sticks, 1280, 720),
-        ("1,000 small objects", crowd(1000), 320, 180),
+        ("1,000 small objects", build_crowd_scene(1000), 320, 180),
     ]
     return {
         f"{name}, {width}×{height}": copy_with_picture_size(scene, width, height)

@@ -1,9 +1,14 @@
-"""Scenes to measure: with any number of objects, and with any size of the picture."""
+"""Build scenes for measurements, each of which stresses one part of the tracer.
+
+Objects have random positions and sizes.  The random numbers depend only on the number of objects,
+so equal arguments give equal scenes.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeAlias, TypedDict
+from typing import Annotated as Shaped
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,19 +17,9 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Su
 
 Vector: TypeAlias = tuple[float, float, float]
 
-
-class _Window(TypedDict, total=False):
-    """Some of the fields of a `Camera`."""
-
-    view_up: Vector
-    proj_distance: float
-    view_width: float
-    view_height: float
-
-
 _LIGHT_INTENSITY = (0.6, 0.6, 0.6)
 
-# The corners of a floor that seems endless.
+# The lower and upper corners of a floor that seems endless.
 _ENDLESS_FLOOR = ((-1e5, -1.0, -1e5), (1e5, 0.0, 1e5))
 
 # Shaders of the objects, in turn.
@@ -35,12 +30,16 @@ _SHADERS = (
 )
 
 
-def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
+def build_crowd_scene(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
-    Half of the objects are spheres, the others are boxes, one of which is the floor.  The fraction
-    of the picture that they cover hardly depends on their number.  Equal arguments give equal
-    scenes.
+    Half of the objects are spheres, and half are boxes, of which one is the floor.  More objects
+    are smaller, so the fraction of the picture that they cover hardly depends on their number.
+
+    Parameters
+    ----------
+    width, height
+        Size of the picture in pixels.
     """
     rng = np.random.default_rng(object_count)
     small_object_count = object_count - 1
@@ -49,8 +48,13 @@ def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     center = rng.uniform(-1, 1, (small_object_count, 3)) * (4.5, 2.4, 2.0)
     radius = rng.uniform(0.5, 1.5, small_object_count) * 1.6 / np.sqrt(object_count)
     half_size = radius[sphere_count:, None] * rng.uniform(0.4, 0.8, (box_count, 3))
-    window: _Window = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
-    camera = Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window)
+    camera = Camera(
+        view_point=(0, 1, 9),
+        view_dir=(0, -0.1, -1),
+        proj_distance=9,
+        view_width=9.6,
+        view_height=5.4,
+    )
     surfaces = Surfaces(
         center=center[:sphere_count],
         radius=radius[:sphere_count],
@@ -67,25 +71,23 @@ def build_field_scene(object_count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast
-    shadows on each other and on the floor, which `object_count` does not count.  The picture has
-    640 x 360 pixels.  Equal arguments give equal scenes.
+    shadows on each other and on the floor.  `object_count` does not include the floor.  The picture
+    has 640 x 360 pixels.
     """
     rng = np.random.default_rng(object_count)
     mean_radius = (0.5 / object_count) ** (1 / 3)
     center = rng.uniform((-8, mean_radius, -8), (8, 3 + mean_radius, 8), (object_count, 3))
     radius = mean_radius * rng.uniform(0.6, 1.3, object_count)
     sphere_count = object_count // 2
-    box_center, half_size = center[sphere_count:], radius[sphere_count:, None]
-    window: _Window = {"view_width": 1, "view_height": 0.5625}
-    camera = Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window)
-    surfaces = Surfaces(
+    box_center = center[sphere_count:]
+    half_size = radius[sphere_count:, None]
+    surfaces = _make_surfaces(
         center=center[:sphere_count],
         radius=radius[:sphere_count],
         min_pt=np.vstack([box_center - half_size, [(-60, -0.5, -60)]]),
         max_pt=np.vstack([box_center + half_size, [(60, 0, 60)]]),
-        shader_index=np.arange(object_count + 1) % len(_SHADERS),
-        shaders=_SHADERS,
     )
+    camera = _make_camera((12, 9, 12), (-12, -8.5, -12))
     lights = _make_lights((5, 10, -4), (-7, 13, 8))
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
@@ -98,21 +100,21 @@ def build_sun_scene(ball_count: int) -> Scene:
     """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-8, 0.1, -8), (8, 0.3, 8), (ball_count, 3))
-    return _build_ball_scene(center, [_ENDLESS_FLOOR], (5e4, 1e5, 2e4))
+    return _build_ball_scene(center, _ENDLESS_FLOOR, (5e4, 1e5, 2e4))
 
 
 def build_horizon_scene(ball_count: int) -> Scene:
     """Build a scene of balls on an endless floor, seen by an eye just above the floor.
 
-    The scene stresses large differences in depth between neighbouring pixels: the distances of the
-    balls, from 3 to 1,000, are spread evenly on a logarithmic scale.  The picture has 640 x 360
-    pixels.
+    The scene stresses large differences in depth between neighbouring pixels.  The distances of the
+    balls from the eye are spread evenly on a logarithmic scale, from 3 to 1,000.  The picture has
+    640 x 360 pixels.
     """
     rng = np.random.default_rng(ball_count)
     distance = np.exp(rng.uniform(np.log(3), np.log(1000), ball_count))
     x = rng.uniform(-1, 1, ball_count) * distance
     center = np.column_stack([x, np.full(ball_count, 0.2), 9 - distance])
-    scene = _build_ball_scene(center, [_ENDLESS_FLOOR], (50, 100, 20), radius=0.2)
+    scene = _build_ball_scene(center, _ENDLESS_FLOOR, (50, 100, 20), radius=0.2)
     camera = replace(scene.camera, view_point=(0, 0.5, 9), view_dir=(0, -0.1, -1))
     return replace(scene, camera=camera, width=640, height=360)
 
@@ -120,104 +122,77 @@ def build_horizon_scene(ball_count: int) -> Scene:
 def build_heap_scene(ball_count: int) -> Scene:
     """Build a scene of a heap of balls, which are all in the shadow of one large ball.
 
-    The scene stresses shadow tests: each hit has many possible occluders, but one of them, the
-    large ball, already decides.  The picture has 640 x 360 pixels.
+    The scene stresses shadow tests.  Many balls may shade each visible point, but testing the large
+    ball would be enough.  The picture has 640 x 360 pixels.
     """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-4, 0.1, -4), (4, 12, 4), (ball_count, 3))
-    scene = _build_ball_scene(center, [((-30, -1, -30), (30, 0, 30))], (1, 30, 2), radius=0.4)
+    floor = (-30, -1, -30), (30, 0, 30)
+    scene = _build_ball_scene(center, floor, (1, 30, 2), radius=0.4)
     camera = replace(scene.camera, view_point=(12, 9, 12), view_dir=(-12, -5, -12))
     surfaces = [*scene.surfaces, Sphere(center=(1, 25, 2), radius=10)]
     return Scene(camera=camera, width=640, height=360, lights=scene.lights, surfaces=surfaces)
 
 
 def build_rods_scene(rod_count: int) -> Scene:
-    """Build a scene of long thin rods above a floor, which are oblique in the picture.
+    """Build a scene of long thin rods above a floor.
 
-    The scene stresses bounding rectangles, which are much larger than the rods that they contain.
-    The picture has 640 x 360 pixels.
+    The scene stresses bounding rectangles: the rods are oblique in the picture, so their rectangles
+    are much larger than the rods.  The picture has 640 x 360 pixels.
     """
     rng = np.random.default_rng(rod_count)
     center = rng.uniform((-5, 0.5, -5), (5, 7, 5), (rod_count, 3))
     half_size = np.full((rod_count, 3), 0.02)
     half_size[np.arange(rod_count), rng.integers(0, 3, rod_count)] = 3
-    surfaces = Surfaces(
+    surfaces = _make_surfaces(
+        center=np.zeros((0, 3)),
+        radius=np.zeros(0),
         min_pt=np.vstack([center - half_size, [(-60, -4, -60)]]),
         max_pt=np.vstack([center + half_size, [(60, -3, 60)]]),
-        shader_index=np.arange(rod_count + 1) % len(_SHADERS),
-        shaders=_SHADERS,
     )
-    window: _Window = {"view_up": (1, 1, 0), "view_width": 1, "view_height": 0.5625}
-    camera = Camera(view_point=(12, 12, 12), view_dir=(-12, -9, -12), **window)
+    camera = _make_camera((12, 12, 12), (-12, -9, -12), view_up=(1, 1, 0))
     lights = _make_lights((7, 10, -6), (-7, 13, 8))
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
 
 def build_dust_scene(ball_count: int) -> Scene:
-    """Build a scene of a floor in the shadow of tiny balls, which are all above the picture.
+    """Build a scene of a floor on which tiny balls cast shadows.
 
-    The scene stresses shadows: only the floor is visible, and all balls are possible occluders of
-    it.  The picture has 48 x 27 pixels.
+    The scene stresses shadows.  The balls are outside the picture, so only the floor is visible,
+    and any ball may shade it.  The picture has 48 x 27 pixels.
     """
     rng = np.random.default_rng(ball_count)
     center = rng.uniform((-2.5, 12, -2.5), (2.5, 14, 2.5), (ball_count, 3))
     floor = (-30, -1, -30), (30, 0, 30)
-    scene = _build_ball_scene(center, [floor], (1, 400, 2), radius=0.02)
+    scene = _build_ball_scene(center, floor, (1, 400, 2), radius=0.02)
     return copy_with_picture_size(scene, 48, 27)
 
 
 def build_dim_lights_scene(light_count: int) -> Scene:
     """Build a scene of a ball before a wall, lit by many lights whose intensities add up to 1.2.
 
-    The scene stresses shadow edges, of which there are many, each of low contrast.  The picture
-    has 24 x 24 pixels.
+    The scene stresses shadow edges: there are many, and each has little contrast.  The picture has
+    24 x 24 pixels.
     """
     position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (light_count, 3))
     intensity = (1.2 / light_count,) * 3
     lights = [PointLight(position=each, intensity=intensity) for each in position]
-    window: _Window = {"proj_distance": 100, "view_width": 4, "view_height": 4}
-    camera = Camera(view_point=(0, 0, 100), **window)
+    camera = Camera(view_point=(0, 0, 100), proj_distance=100, view_width=4, view_height=4)
     wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
     ball = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
     return Scene(camera=camera, width=24, height=24, lights=lights, surfaces=[wall, ball])
 
 
-def _build_ball_scene(
-    center: Floats, boxes: list[tuple[Vector, Vector]], light: Vector, radius: float = 0.08
-) -> Scene:
-    """Build a scene of balls and boxes, seen from above.
-
-    `center` has the shape (n, 3).  A box is given by its lower and upper corners.  The picture has
-    96 x 54 pixels.
-    """
-    min_pt, max_pt = zip(*boxes, strict=True)
-    surface_count = len(center) + len(boxes)
-    surfaces = Surfaces(
-        center=center,
-        radius=np.full(len(center), radius),
-        min_pt=np.array(min_pt),
-        max_pt=np.array(max_pt),
-        shader_index=np.arange(surface_count) % len(_SHADERS),
-        shaders=_SHADERS,
-    )
-    window: _Window = {"view_width": 1, "view_height": 0.5625}
-    camera = Camera(view_point=(6, 6, 6), view_dir=(-6, -6, -6), **window)
-    lights = [PointLight(position=light)]
-    return Scene(camera=camera, width=96, height=54, lights=lights, surfaces=surfaces)
-
-
 def build_small_ball_scene() -> Scene:
     """Build a scene of one ball, whose width is a thousandth of the width of the picture.
 
-    The scene stresses what is spent on the background.  The picture has 2560 x 1440 pixels.
+    The scene stresses the time that is spent on the background.  The picture has 2560 x 1440
+    pixels.
     """
     camera = Camera(view_point=(0, 0, 10), view_width=1.6, view_height=0.9)
-    ball, lights = Sphere(radius=0.008), _make_lights((3, 4, 5))
+    ball = Sphere(radius=0.008)
+    lights = _make_lights((3, 4, 5))
     return Scene(camera=camera, width=2560, height=1440, lights=lights, surfaces=[ball])
-
-
-def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
-    return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
 def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
@@ -228,3 +203,56 @@ def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)
+
+
+def _build_ball_scene(
+    center: Shaped[Floats, "n 3"],
+    floor: tuple[Vector, Vector],
+    light: Vector,
+    radius: float = 0.08,
+) -> Scene:
+    """Build a scene of equal balls above a floor, seen from above and lit by a white light.
+
+    `floor` has the lower and upper corners of a box.  The picture has 96 x 54 pixels.
+    """
+    surfaces = _make_surfaces(
+        center=center,
+        radius=np.full(len(center), radius),
+        min_pt=np.array([floor[0]], dtype=np.float64),
+        max_pt=np.array([floor[1]], dtype=np.float64),
+    )
+    camera = _make_camera((6, 6, 6), (-6, -6, -6))
+    lights = [PointLight(position=light)]
+    return Scene(camera=camera, width=96, height=54, lights=lights, surfaces=surfaces)
+
+
+def _make_surfaces(
+    center: Shaped[Floats, "spheres 3"],
+    radius: Shaped[Floats, "spheres"],
+    min_pt: Shaped[Floats, "boxes 3"],
+    max_pt: Shaped[Floats, "boxes 3"],
+) -> Surfaces:
+    """Make spheres and boxes that use `_SHADERS` in turn."""
+    return Surfaces(
+        center=center,
+        radius=radius,
+        min_pt=min_pt,
+        max_pt=max_pt,
+        shader_index=np.arange(len(center) + len(min_pt)) % len(_SHADERS),
+        shaders=_SHADERS,
+    )
+
+
+def _make_camera(view_point: Vector, view_dir: Vector, view_up: Vector = (0, 1, 0)) -> Camera:
+    """Make a camera for pictures with an aspect ratio of 16 to 9."""
+    return Camera(
+        view_point=view_point,
+        view_dir=view_dir,
+        view_up=view_up,
+        view_width=1,
+        view_height=0.5625,
+    )
+
+
+def _make_lights(*positions: Vector) -> list[PointLight]:
+    return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]

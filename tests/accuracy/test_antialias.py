@@ -21,7 +21,7 @@ from reference.command import SCENES
 from reference.judges.certificate import certify
 from reference.judges.sampling import compute_rms_error as rmse
 from reference.judges.sampling import render_supersampled
-from reference.measured.workloads import crowd
+from reference.measured.workloads import build_crowd_scene
 from tracer import (
     Box,
     Camera,
@@ -118,7 +118,7 @@ def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
 
 
 def test_pictures_full_of_silhouettes_are_lattices():
-    scene = crowd(3000, width=96, height=54)
+    scene = build_crowd_scene(3000, width=96, height=54)
     points = Lattice.choose(4).list_points()
     image = render(scene, samples=16)
     # Every other row of pixels has the mirror image.
@@ -131,7 +131,7 @@ def test_pictures_full_of_silhouettes_are_lattices():
 @pytest.mark.parametrize("max_silhouette_pairs", [-1.0, math.inf])
 def test_an_offset_of_whole_pixels_moves_the_picture(max_silhouette_pairs, monkeypatch):
     monkeypatch.setattr(refine, "_MAX_PAIRS_PER_SAMPLE", max_silhouette_pairs)
-    scene = crowd(30, width=48, height=27)
+    scene = build_crowd_scene(30, width=48, height=27)
     image, shifted = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05
     # The rays differ by rounding errors, which decide few hits.

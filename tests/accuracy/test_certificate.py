@@ -25,7 +25,7 @@ from reference.judges.faces import Faces
 from reference.judges.ray_functions import Cone
 from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.sampling import compute_rms_error, render_supersampled
-from reference.measured.workloads import copy_with_picture_size, crowd
+from reference.measured.workloads import build_crowd_scene, copy_with_picture_size
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import compute_radiance
 from tracer.trace.samples import Scattered
@@ -145,7 +145,7 @@ def test_points_lit_by_distant_lights(light_scale: float, monkeypatch: Patch) ->
 
 def test_points_of_crowds(monkeypatch: Patch) -> None:
     small_scenes = small_scene("sunflower", 6, 6), small_scene("many-objects", 16, 9)
-    scenes = copy_with_picture_size(crowd(80), 16, 9), *small_scenes
+    scenes = copy_with_picture_size(build_crowd_scene(80), 16, 9), *small_scenes
     assert check_samples(monkeypatch, iter(scenes)) > 100_000
 
 

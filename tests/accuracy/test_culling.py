@@ -21,7 +21,7 @@ from random_scenes import FEW_OBJECTS, random_scene, scenes
 from scene_files import HARD_SCENES, HardScene, hard_scenes
 
 from reference.judges import plain
-from reference.measured.workloads import crowd
+from reference.measured.workloads import build_crowd_scene
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Bools, Floats
@@ -190,7 +190,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
 @np.errstate(all="ignore")
 def test_runs_consist_of_neighbours():
     # A row of the floor consists of several runs if balls hide parts of it.
-    scene = crowd(200, width=80, height=45)
+    scene = build_crowd_scene(200, width=80, height=45)
     samples = PIXEL_CENTERS.place_in_pixels(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
         ends = np.append(0, group.run_length.cumsum())
@@ -208,7 +208,7 @@ def place_nine_lights(scene: Scene) -> Scene:
 
 
 def test_lights_are_prepared_in_batches(monkeypatch):
-    scene = place_nine_lights(crowd(40, width=48, height=27))
+    scene = place_nine_lights(build_crowd_scene(40, width=48, height=27))
     counts = record_calls(monkeypatch, LightGrid, "query", lambda g, *_: g.light_position.shape[1])
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 9)
     expected = [render(scene, samples) for samples in (1, 16)]
@@ -222,7 +222,7 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 
 def test_threads_share_prepared_lights(monkeypatch):
     # While one thread slowly prepares a batch of lights, all other threads request it, too.
-    scene = place_nine_lights(crowd(40, width=48, height=27))
+    scene = place_nine_lights(build_crowd_scene(40, width=48, height=27))
     expected = render(scene)
     shared_scene = PreparedScene(scene)
     starts = list[int]()
