@@ -14,19 +14,16 @@ import numpy as np
 
 from reference.judges import plain
 from tracer import Lambertian, Scene, Shader
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, map_xyz, repeat_runs
-from tracer.geometry.box import _find_screen_bounds
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, map_xyz, repeat_runs, take
+from tracer.geometry.box import find_box_bounds
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import get_object_range
-from tracer.geometry.rounding import LIGHT_TOLERANCE, compute_hit_tolerance, determine_side
+from tracer.geometry.rounding import compute_hit_tolerance
 from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape, SilhouetteEdges, TangentPlanes
 from tracer.geometry.silhouette import bound_variation
 from tracer.scene import schema
 from tracer.scene.model import Surfaces
 from tracer.scene.schema import Validated, tag_field
-
-# Face codes of the two caps, by the sign of the normal that faces the eye.
-CAPS = {2: -1.0, 3: 1.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,129 +67,108 @@ def add_cylinders(scene: Scene, *cylinders: Cylinder) -> Surfaces:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cylinders(Shape):
-    has_planar_faces: ClassVar = True
+    planar_axes: ClassVar = (1,)
     has_curved_face: ClassVar = True
 
     center: Floats
     radius: Floats
-    half_height: Floats
     from_eye: Floats  # (3, n), in scene axes
+    # Corners of the bounding boxes: their y coordinates are those of the caps.
+    min_pt: Floats
+    max_pt: Floats
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Cylinders:
         table = surfaces.tables[Cylinder]
-        center, radius, half_height = (
-            table["center"].T.copy(),
-            table["radius"],
-            table["half_height"],
-        )
-        from_eye, extent = center - frame.eye[:, None], np.array([radius, half_height, radius])
-        is_eye_inside = np.hypot(from_eye[0], from_eye[2]) <= radius
+        center, radius = table["center"].T.copy(), table["radius"]
+        extent = np.array([radius, table["half_height"], radius])
+        from_eye = center - frame.eye[:, None]
+        is_between_caps = np.abs(from_eye[1]) <= extent[1]
         return cls(
             frame=frame,
             objects=get_object_range(surfaces, Cylinder),
             center=center,
             radius=radius,
-            half_height=half_height,
             from_eye=from_eye,
-            bounds=_find_screen_bounds(frame, from_eye - extent, from_eye + extent),
-            is_eye_inside=is_eye_inside & (np.abs(from_eye[1]) <= half_height),
+            min_pt=center - extent,
+            max_pt=center + extent,
+            bounds=find_box_bounds(frame, from_eye - extent, from_eye + extent),
+            is_eye_inside=is_between_caps & (np.hypot(from_eye[0], from_eye[2]) <= radius),
             curvature=1 / radius,
             coordinate_bound=(np.abs(center) + extent).sum(axis=0),
         )
 
     def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
-        extent = np.array([self.radius, self.half_height, self.radius])
-        return self.center - extent, self.center + extent
+        return self.min_pt, self.max_pt
 
-    def _get_caps(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return y of the lower and the upper cap, relative to the eye."""
-        (_, y, _), half_height = self.center[:, index], self.half_height[index]
-        return y - half_height - self.frame.eye[1], y + half_height - self.frame.eye[1]
+    def _get_caps(self, index: Ints, origin_y: Floats | float) -> tuple[Floats, Floats]:
+        """Return the y coordinates of the lower and the upper cap, relative to an origin."""
+        return self.min_pt[1, index] - origin_y, self.max_pt[1, index] - origin_y
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
         index, frame = self.objects.to_local(object_index), self.frame
         if height:  # any bounds are allowed
-            left, right = np.full((2, index.size), ([-np.inf], [np.inf]))
-            return left, right
-        (cx, _, cz), radius2 = self.from_eye[:, index], self.radius[index] ** 2
-        low, high = self._get_caps(index)
+            return np.full(index.size, -np.inf), np.full(index.size, np.inf)
+        (cx, _, cz), squared_radius = self.from_eye[:, index], self.radius[index] ** 2
+        low, high = self._get_caps(index, frame.eye[1])
         # A ray of the row has the direction a + x b.  Each condition is a quadratic equation for x.
         ray_y = frame.to_ray_y(top)
         a = frame.rotate_to_scene((np.zeros(top.size), ray_y, np.full(top.size, frame.depth)))
         b = frame.axes[0]
         side = _square(cx * a[2] - cz * a[0], cx * b[2] - cz * b[0])
-        side -= radius2 * (_square(a[0], b[0]) + _square(a[2], b[2]))
-        candidates = []
-        for x in _solve(side):
-            d = map_xyz(lambda u, v, x=x: u + x * v, a, (b[0], b[1], b[2]))
-            t = (cx * d[0] + cz * d[2]) / (d[0] ** 2 + d[2] ** 2)
-            candidates.append((x, (low <= t * d[1]) & (t * d[1] <= high) & (t > 0)))
+        side -= squared_radius * (_square(a[0], b[0]) + _square(a[2], b[2]))
+        roots, are_valid = [*_solve(side)], []
+        for x in roots:
+            dx, dy, dz = (a[axis] + x * b[axis] for axis in range(3))
+            t = (cx * dx + cz * dz) / (dx * dx + dz * dz)
+            are_valid.append((low <= t * dy) & (t * dy <= high) & (t > 0))
         for y in (low, high):
             rim = _square(y * a[0] - cx * a[1], y * b[0] - cx * b[1])
             rim += _square(y * a[2] - cz * a[1], y * b[2] - cz * b[1])
-            rim -= radius2 * _square(a[1], b[1])
-            candidates += [(x, y / (a[1] + x * b[1]) > 0) for x in _solve(rim)]
+            rim -= squared_radius * _square(a[1], b[1])
+            rim_roots = _solve(rim)
+            roots += rim_roots
+            are_valid += [y / (a[1] + x * b[1]) > 0 for x in rim_roots]
         is_inside = self.is_eye_inside[index]
-        left = np.min([np.where(is_valid, x, np.inf) for x, is_valid in candidates], axis=0)
-        right = np.max([np.where(is_valid, x, -np.inf) for x, is_valid in candidates], axis=0)
-        left, right = np.where(is_inside, -np.inf, left), np.where(is_inside, np.inf, right)
+        left = np.where(are_valid, roots, np.where(is_inside, -np.inf, np.inf)).min(axis=0)
+        right = np.where(are_valid, roots, np.where(is_inside, np.inf, -np.inf)).max(axis=0)
         return frame.to_picture_x(left), frame.to_picture_x(right)
 
     def intersect(
         self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
-        frame, index = self.frame, self.objects.to_local(object_index)
-        right, down, ahead = frame.axes
-        direction = tuple(
-            ray_x * right[axis]
-            + repeat_runs(ray_y * down[axis] + frame.depth * ahead[axis], ray_count)
-            for axis in range(3)
-        )
-        index = repeat_runs(index, ray_count)
-        spans = _find_spans(
-            self.from_eye[:, index], direction, self.radius[index], self._get_caps(index)
-        )
-        (side_enter, side_leave), (cap_enter, cap_leave) = spans
+        index = repeat_runs(self.objects.to_local(object_index), ray_count)
+        x, y, z = self.iterate_directions(ray_y, ray_x, ray_count)
+        caps = self._get_caps(index, self.frame.eye[1])
+        enter, leave = _cross_faces(self.from_eye[:, index], (x, y, z), self.radius[index], caps)
         is_inside = self.is_eye_inside[index]
-        enter, leave = np.maximum(side_enter, cap_enter), np.minimum(side_leave, cap_leave)
-        t = np.where(is_inside, leave, enter)
-        is_cap = t == np.where(is_inside, cap_leave, cap_enter)
-        face_code = np.where(is_cap, np.where(direction[1] < 0, 3, 2), CURVED_FACE).astype(np.int8)
-        return np.where(((enter <= leave) | is_inside) & (t > 0), t, np.inf), face_code
+        is_hit = (enter.max(axis=0) <= leave.min(axis=0)) | is_inside
+        t = np.where(is_inside, leave.min(axis=0), enter.max(axis=0))
+        is_cap = t == np.where(is_inside, leave[1], enter[1])
+        face_code = np.where(is_cap, np.where(y < 0, 3, 2), CURVED_FACE).astype(np.int8)
+        return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def compute_tangent_planes(
         self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
     ) -> TangentPlanes:
+        planes = super().compute_tangent_planes(object_index, run_length, to_hit, t, face_code)
+        ray = to_hit[0], to_hit[1], to_hit[2]
+        side = self.compute_normals(object_index.repeat(run_length), ray, np.ones(t.size))
         index = self.objects.to_local(object_index)
-        run_code = face_code[run_length.cumsum() - run_length].astype(np.intp)
-        is_cap, sign = run_code != CURVED_FACE, np.where(run_code == 3, 1.0, -1.0)
-        side = np.where(self.is_eye_inside[index], -1.0, 1.0)
-        low, high = self._get_caps(index)
-        position = np.where(sign * side > 0, high, low) + self.frame.eye[1]
-        hit_index, hit_sign, hit_cap = (each.repeat(run_length) for each in (index, sign, is_cap))
-        x, _, z = self.frame.rotate_to_scene((to_hit[0], to_hit[1], to_hit[2]))
-        cx, _, cz = self.from_eye[:, hit_index]
-        scale = side.repeat(run_length) / self.radius[hit_index]
-        normal = (x - cx) * scale, np.zeros(x.size), (z - cz) * scale
-        normal = map_xyz(lambda u, v: np.where(hit_cap, v, u), normal, (0 * x, hit_sign, 0 * z))
-        normal = self.frame.rotate_to_camera(normal)
-        return TangentPlanes(
-            normal=normal,
-            eye_height=-dot(normal, (to_hit[0], to_hit[1], to_hit[2])),
-            face_axis=np.where(is_cap, 1, NO_AXIS),
-            normal_sign=np.where(is_cap, sign, np.nan),
-            face_position=np.where(is_cap, position, np.nan),
+        scale = (np.where(self.is_eye_inside[index], -1, 1) / self.radius[index]).repeat(run_length)
+        is_cap = face_code != CURVED_FACE
+        normal = map_xyz(
+            lambda side, cap: np.where(is_cap, cap.repeat(run_length), scale * side),
+            side,
+            planes.normal,
         )
-
-    def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
-        return determine_side(self.measure_distance(object_index, light), tolerance)
+        return planes._replace(normal=normal, eye_height=-dot(normal, ray))
 
     def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
         index = self.objects.to_local(object_index)
-        x, y, z = (p - c for p, c in zip(point, self.center[:, index], strict=True))
-        return np.maximum(np.hypot(x, z) - self.radius[index], np.abs(y) - self.half_height[index])
+        x, _, z = map_xyz(np.subtract, point, take(self.center, index))
+        low, high = self._get_caps(index, point[1])
+        return np.maximum(np.hypot(x, z) - self.radius[index], np.maximum(low, -high))
 
     def occludes(
         self,
@@ -204,57 +180,42 @@ class Cylinders(Shape):
     ) -> Bools:
         index = self.objects.to_local(object_index)
         tolerance = compute_hit_tolerance(self.coordinate_bound[index], hit, self.frame.eye)
-        enter, leave, is_real = self._cross(index, hit, light, 0.0 if growth is None else growth)
-        margin = tolerance / np.sqrt(dot(*[map_xyz(np.subtract, light, hit)] * 2))
+        low, high = self._get_caps(index, hit[1])
+        radius = self.radius[index]
+        if growth is not None:
+            low, high, radius = low - growth, high + growth, radius + growth
+        to_light = map_xyz(np.subtract, light, hit)
+        center = self.center[:, index] - np.array(hit)
+        enter_ts, leave_ts = _cross_faces(center, to_light, radius, (low, high))
+        enter, leave = enter_ts.max(axis=0), leave_ts.min(axis=0)
+        margin = tolerance / np.sqrt(dot(to_light, to_light))
         is_between = [(t > margin) & (t < 1 - margin) for t in (enter, leave)]
-        return is_real & (enter <= leave) & (is_between[0] | is_between[1])
-
-    def test_capsules(
-        self, object_index: Ints, axis_start: Triple, axis_end: Triple, capsule_radius: Floats
-    ) -> tuple[Bools, Bools]:
-        enter, leave, _ = self._cross(
-            self.objects.to_local(object_index), axis_start, axis_end, capsule_radius
-        )
-        return (enter <= leave) & (leave >= 0) & (enter <= 1), np.zeros(enter.size, dtype=np.bool_)
-
-    def _cross(
-        self, index: Ints, start: Triple, end: Triple, growth: Floats | float
-    ) -> tuple[Floats, Floats, Bools]:
-        """Return where segments enter and leave grown cylinders, and which of these exist."""
-        center = self.center[:, index] - np.array(start)
-        radius, half_height = self.radius[index] + growth, self.half_height[index] + growth
-        caps = center[1] - half_height, center[1] + half_height
-        (side_enter, side_leave), (cap_enter, cap_leave) = _find_spans(
-            center, map_xyz(np.subtract, end, start), radius, caps
-        )
-        is_real = (radius > 0) & (half_height > 0)
-        return np.maximum(side_enter, cap_enter), np.minimum(side_leave, cap_leave), is_real
+        return (radius > 0) & (low < high) & (enter <= leave) & (is_between[0] | is_between[1])
 
     def find_silhouettes(
         self, object_index: Ints, viewpoint: Floats, ray: Triple
     ) -> SilhouetteEdges:
         index, (dx, dy, dz) = self.objects.to_local(object_index), self.frame.rotate_to_scene(ray)
-        (cx, cy, cz), radius = self.center[:, index] - viewpoint, self.radius[index]
+        (cx, _, cz), radius = self.center[:, index] - viewpoint, self.radius[index]
+        low, high = self._get_caps(index, viewpoint[1])
         # Vertical edges: the angles between the ray and the tangents, seen from above.
         angle = np.arctan2(cx * dz - cz * dx, cx * dx + cz * dz)
         half_angle = np.arcsin(radius / np.hypot(cx, cz))
-        values = [angle - half_angle, angle + half_angle]
-        values += [
+        rims = [
             (y * dx - cx * dy) ** 2 + (y * dz - cz * dy) ** 2 - (radius * dy) ** 2
-            for y in (cy - self.half_height[index], cy + self.half_height[index])
+            for y in (low, high)
         ]
-        values = np.stack(np.broadcast_arrays(*values), axis=1)
+        edges = np.broadcast_arrays(angle - half_angle, angle + half_angle, *rims)
+        values = np.stack(edges, axis=1)
         may_cross = ~(np.abs(values[0]) > bound_variation(values))
-        is_above = (np.hypot(cx, cz) <= radius) & (np.abs(cy) > self.half_height[index])
-        may_cross[:2] &= ~is_above
+        # From above or below, the rims are the outline.
+        may_cross[:2] &= ~((np.hypot(cx, cz) <= radius) & ((low > 0) | (high < 0)))
         return SilhouetteEdges(item_index=may_cross.nonzero()[1], values=values[:, may_cross])
 
     def compute_inverse_t(self, face_code: int, object_index: Ints, ray: Triple) -> Floats:
-        index, (dx, dy, dz) = self.objects.to_local(object_index), self.frame.rotate_to_scene(ray)
-        if face_code in CAPS:
-            outward = np.where(self.is_eye_inside[index], -1, 1) * CAPS[face_code]
-            low, high = self._get_caps(index)
-            return dy / np.where(outward > 0, high, low)
+        if face_code != CURVED_FACE:
+            return super().compute_inverse_t(face_code, object_index, ray)
+        index, (dx, _, dz) = self.objects.to_local(object_index), self.frame.rotate_to_scene(ray)
         (cx, _, cz), radius = self.from_eye[:, index], self.radius[index]
         power = cx * cx + cz * cz - radius * radius
         k_d = (cx * dx + cz * dz) / power
@@ -274,18 +235,15 @@ class Cylinders(Shape):
         to_hit: Floats,
         max_distance: Floats,
     ) -> Iterator[tuple[int, Ints]]:
+        arguments = object_index, run_length, face_axis, to_hit, max_distance
+        yield from super().find_near_faces(*arguments)
         index = self.objects.to_local(object_index).repeat(run_length)
-        x, y, z = self.frame.rotate_to_scene((to_hit[0], to_hit[1], to_hit[2]))
-        (cx, _, cz), is_side = self.from_eye[:, index], (face_axis == NO_AXIS).repeat(run_length)
-        low, high = self._get_caps(index)
-        is_inside = self.is_eye_inside[index]
-        for face_code, sign in CAPS.items():
-            cap = np.where(is_inside == (sign > 0), low, high)
-            is_visible = is_inside | (sign * cap < 0)
-            yield face_code, find(is_side & is_visible & (np.abs(y - cap) < max_distance))
-        distance = np.abs(np.hypot(x - cx, z - cz) - self.radius[index])
-        is_visible = is_inside | (np.hypot(cx, cz) > self.radius[index])
-        yield CURVED_FACE, find(~is_side & is_visible & (distance < max_distance))
+        (cx, _, cz), radius = self.from_eye[:, index], self.radius[index]
+        x, _, z = self.frame.rotate_to_scene((to_hit[0], to_hit[1], to_hit[2]))
+        is_cap = (face_axis != NO_AXIS).repeat(run_length)
+        is_visible = self.is_eye_inside[index] | (np.hypot(cx, cz) > radius)
+        is_near = np.abs(np.hypot(x - cx, z - cz) - radius) < max_distance
+        yield CURVED_FACE, find(is_cap & is_visible & is_near)
 
 
 def _square(u: Floats, v: Floats) -> Floats:
@@ -301,18 +259,16 @@ def _solve(polynomial: Floats) -> tuple[Floats, Floats]:
     return q / a, c / q
 
 
-def _find_spans(
+def _cross_faces(
     center: Floats, direction: Triple, radius: Floats, caps: tuple[Floats, Floats]
-) -> list[tuple[Floats, Floats]]:
-    """Return where rays enter and leave the infinite cylinders, and the slabs between the caps."""
+) -> tuple[Floats, Floats]:
+    """Return where rays enter and leave infinite cylinders (row 0), and slabs of caps (row 1)."""
     (cx, _, cz), (dx, dy, dz) = center, direction
-    length2, projection = dx * dx + dz * dz, cx * dx + cz * dz
-    root = np.sqrt(length2 * radius**2 - (cx * dz - cz * dx) ** 2)
+    squared_length, projection = dx * dx + dz * dz, cx * dx + cz * dz
+    root = np.sqrt(squared_length * radius**2 - (cx * dz - cz * dx) ** 2)
+    t_sides = (projection - root) / squared_length, (projection + root) / squared_length
     t_caps = caps[0] / dy, caps[1] / dy
-    return [
-        ((projection - root) / length2, (projection + root) / length2),
-        (np.minimum(*t_caps), np.maximum(*t_caps)),
-    ]
+    return np.array([t_sides[0], np.minimum(*t_caps)]), np.array([t_sides[1], np.maximum(*t_caps)])
 
 
 class PlainTracer(plain._PlainTracer):

@@ -6,7 +6,6 @@ opposite faces (Kay and Kajiya, Ray tracing complex scenes, 1986).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated as Shaped
 from typing import ClassVar
@@ -19,12 +18,9 @@ from tracer.arrays import (
     Ints,
     Sides,
     Triple,
-    dot,
-    find,
     map_xyz,
     repeat_runs,
     take,
-    take_2d,
 )
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import get_object_range
@@ -39,11 +35,8 @@ from tracer.geometry.rounding import (
 )
 from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import (
-    FaceHits,
     Shape,
     SilhouetteEdges,
-    TangentPlanes,
-    compute_plane_footprints,
 )
 from tracer.geometry.silhouette import bound_variation, evaluate_box_edges, find_edge_planes
 from tracer.scene.model import Box, Surfaces
@@ -53,7 +46,7 @@ from tracer.scene.model import Box, Surfaces
 class Boxes(Shape):
     """The boxes of a scene."""
 
-    has_planar_faces: ClassVar = True
+    planar_axes: ClassVar = (0, 1, 2)
     has_curved_face: ClassVar = False
 
     # Corners with the smallest and with the largest coordinates, in scene axes.
@@ -81,7 +74,7 @@ class Boxes(Shape):
             min_pt=min_pt,
             max_pt=max_pt,
             planes=(normals[0], normals[1], normals[2] * frame.depth),
-            bounds=_find_screen_bounds(frame, eye_to_low, eye_to_high),
+            bounds=find_box_bounds(frame, eye_to_low, eye_to_high),
             is_eye_inside=is_eye_inside,
             curvature=np.zeros(is_eye_inside.size),
             coordinate_bound=np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0),
@@ -124,10 +117,7 @@ class Boxes(Shape):
         """See `Shape.intersect`; a ray that lies in the plane of a face counts as in its slab."""
         frame, box_index = self.frame, self.objects.to_local(object_index)
         enter_ts, leave_ts, face_codes = [], [], []
-        for axis in range(3):
-            axis_right, axis_down, axis_ahead = frame.axes[:, axis].tolist()
-            span_term = ray_y * axis_down + frame.depth * axis_ahead
-            direction = ray_x * axis_right + repeat_runs(span_term, ray_count)
+        for axis, direction in enumerate(self.iterate_directions(ray_y, ray_x, ray_count)):
             low = self.min_pt[axis, box_index] - frame.eye[axis]
             high = self.max_pt[axis, box_index] - frame.eye[axis]
             low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
@@ -153,41 +143,6 @@ class Boxes(Shape):
         face_code = np.where(face_ts[1] == t, face_codes[1], face_codes[2])
         face_code = np.where(face_ts[0] == t, face_codes[0], face_code)
         return np.where(is_hit & (t > 0), t, np.inf), face_code
-
-    def compute_tangent_planes(
-        self,
-        object_index: Shaped[Ints, "runs"],
-        run_length: Shaped[Ints, "runs"],
-        to_hit: Shaped[Floats, "3 n"],
-        t: Shaped[Floats, "n"],
-        face_code: Shaped[Sides, "n"],
-    ) -> TangentPlanes:
-        box_index = self.objects.to_local(object_index)
-        run_face_code = face_code.take(run_length.cumsum() - run_length)
-        face_axis = run_face_code.astype(np.intp) >> 1
-        normal_sign = np.where(run_face_code & 1, 1.0, -1.0)
-        face_position = self._get_face_position(box_index, face_axis, normal_sign)
-        right, down, ahead = (np.asarray(normal_sign * axis[face_axis]) for axis in self.frame.axes)
-        return TangentPlanes(
-            normal=(right, down, ahead),
-            eye_height=normal_sign * (self.frame.eye[face_axis] - face_position),
-            face_axis=face_axis,
-            normal_sign=normal_sign,
-            face_position=face_position,
-        )
-
-    def _get_face_position(
-        self,
-        box_index: Shaped[Ints, "n"],
-        face_axis: Shaped[Ints, "n"] | int,
-        normal_sign: Shaped[Floats, "n"] | float,
-    ) -> Shaped[Floats, "n"]:
-        """Look up the coordinate, along its axis, of the face whose normal has this sign.
-
-        The sign is that of the normal on the side of the eye.
-        """
-        low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
-        return np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
 
     def are_rows_bounded_by_ends(self) -> bool:
         return True  # the hits of a row on one face lie on a straight line
@@ -298,69 +253,6 @@ class Boxes(Shape):
         may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
         return SilhouetteEdges(item_index=may_cross.nonzero()[1], values=values[:, may_cross])
 
-    def compute_inverse_t(
-        self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
-    ) -> Shaped[Floats, "m n"]:
-        axis, normal_sign = _decode_face(face_code)
-        box_index = self.objects.to_local(object_index)
-        offset = self._get_face_position(box_index, axis, normal_sign) - self.frame.eye[axis]
-        inverse_t: Floats = self.frame.project_onto_axis(ray, axis) / offset
-        return inverse_t
-
-    def find_near_faces(
-        self,
-        object_index: Shaped[Ints, "runs"],
-        run_length: Shaped[Ints, "runs"],
-        face_axis: Shaped[Ints, "runs"],
-        to_hit: Shaped[Floats, "3 n"],
-        max_distance: Shaped[Floats, "n"],
-    ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
-        box_index = self.objects.to_local(object_index)
-        is_eye_inside = self.is_eye_inside[box_index]
-        for axis in range(3):
-            is_other_axis = face_axis != axis
-            if not is_other_axis.any():
-                continue
-            # Offsets are coordinates along the axis, relative to the eye.
-            hit_offset = self.frame.project_onto_axis((to_hit[0], to_hit[1], to_hit[2]), axis)
-            for face_code in (2 * axis, 2 * axis + 1):
-                normal_sign = _decode_face(face_code)[1]
-                position = self._get_face_position(box_index, axis, normal_sign)
-                offset = position - self.frame.eye[axis]
-                is_visible = is_eye_inside | (normal_sign * offset < 0)
-                is_near = np.abs(hit_offset - repeat_runs(offset, run_length)) < max_distance
-                yield face_code, find(is_near & repeat_runs(is_visible & is_other_axis, run_length))
-
-    def intersect_other_faces(
-        self, object_index: Shaped[Ints, "n"], to_hit: Shaped[Triple, "n"], cell_angle: float
-    ) -> Iterator[FaceHits]:
-        box_index = self.objects.to_local(object_index)
-        distance = np.sqrt(dot(to_hit, to_hit))
-        for axis in range(3):
-            # Offsets are coordinates along the axis, relative to the eye.
-            hit_offset = self.frame.project_onto_axis(to_hit, axis)
-            # The normal of a visible face points against the ray.
-            for face_code in (2 * axis, 2 * axis + 1):
-                normal_sign = _decode_face(face_code)[1]
-                item_index = find((hit_offset <= 0) == (normal_sign > 0))
-                item_offset = hit_offset[item_index]
-                position = self._get_face_position(box_index[item_index], axis, normal_sign)
-                # The ray meets the plane at t times the vector from the eye to the hit.
-                t = (position - self.frame.eye[axis]) / item_offset
-                cell_radius = t * to_hit[2][item_index] * cell_angle
-                cosine = np.abs(item_offset) / distance[item_index]
-                yield FaceHits(
-                    face_code=face_code,
-                    item_index=item_index,
-                    t=t,
-                    footprint_radius=compute_plane_footprints(cell_radius, cosine, cell_angle),
-                )
-
-
-def _decode_face(face_code: int) -> tuple[int, float]:
-    """Return the axis of a face, and the sign of the normal on the side of the eye."""
-    return face_code >> 1, 1.0 if face_code & 1 else -1.0
-
 
 def _intersect_slab(
     low: Shaped[Floats, "n"],
@@ -428,7 +320,7 @@ def _snap_to_faces(
     return map_xyz(snap_coordinate, point, low, high)
 
 
-def _find_screen_bounds(
+def find_box_bounds(
     frame: CameraFrame, low: Shaped[Floats, "3 n"], high: Shaped[Floats, "3 n"]
 ) -> ScreenBounds:
     """Compute bounding rectangles of boxes, given by vectors from the eye to opposite corners.

@@ -2,23 +2,25 @@
 
 Each kind of surface has a subclass of `Shape`, whose methods say only what differs from this
 contract.  The other modules name no subclass, except for the list `SHAPES` in `prepared_scene`.
+`Shape` itself computes the tangent planes and the edges of planar faces, because it knows them from
+their axes and the bounding boxes.
 
 A ray starts at the eye and has the direction (ray_x, ray_y, depth) in camera axes (see
-`CameraFrame`); the rays of one row of the picture have the same `ray_y`.  A *span* consists of rays
+`CameraFrame`).  All rays of a row of the picture have the same `ray_y`.  A *span* consists of rays
 of one row that are tested with the same object.  A *run* consists of consecutive hits on the same
 face of the same object.  A *shadow segment* leads from a hit to a light.  Points, and the ends of
 segments, are in scene axes.  `object_index` numbers all objects of the scene (see `ObjectRange`).
 
 An object has planar faces, each perpendicular to an axis of the scene, or one curved face, or both.
 The *face code* of a planar face is 2 * axis, plus 1 if the normal that faces the eye points in the
-positive direction of the axis; the code of a curved face is `CURVED_FACE`.
+positive direction of the axis.  The code of a curved face is `CURVED_FACE`.
 
 What other modules rely on, and `tests/accuracy/test_shape_contract.py` checks:
 
 - Objects are convex.  So an object never shades its own points that face a light, and it covers a
   pixel if it covers the pixel's upper and lower edges.
-- The result for a pair of a ray and an object depends on this pair only.  It is the same to the
-  last bit whatever else the scene contains, and however pairs are arranged in batches.
+- What is computed for a ray and an object depends on these two only.  It is the same to the last
+  bit whatever else the scene contains, and however the work is divided into batches.
 - If faces of two objects lie in the same plane, a ray meets them at the same t to the last bit, so
   the order of the file decides which of them is visible.
 - No formula contains a power of a length above the fourth: coordinates may be as large as 1e75.
@@ -36,9 +38,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, repeat_runs, take_2d
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import ObjectRange
+from tracer.geometry.rounding import LIGHT_TOLERANCE, determine_side
 from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.scene.model import Surfaces
 
@@ -61,8 +64,8 @@ class TangentPlanes(NamedTuple):
     normal: Shaped[Triple, "planes"]  # unit normals that face the eye, in camera axes
     eye_height: Shaped[Floats, "planes"]  # distance of the eye
     face_axis: Shaped[Ints, "runs"]  # axis perpendicular to the face; `NO_AXIS` if it is curved
-    # Direction of the face's normal along this axis (1 or -1), and coordinate of the face; NaN for
-    # curved faces.
+    # Direction of the face's normal along this axis (1 or -1), and coordinate of the face on the
+    # axis; any numbers for curved faces.
     normal_sign: Shaped[Floats, "runs"]
     face_position: Shaped[Floats, "runs"]
 
@@ -70,24 +73,26 @@ class TangentPlanes(NamedTuple):
 class SilhouetteEdges(NamedTuple):
     """Edges of outlines, each with the values of its edge function for six rays."""
 
-    item_index: Shaped[Ints, "edges"]  # of the object and its rays, among the arguments
+    # The edge belongs to the object object_index[item_index], where `object_index` is the argument.
+    item_index: Shaped[Ints, "edges"]
     values: Shaped[Floats, "6 edges"]
 
 
 class FaceHits(NamedTuple):
-    """Points where rays meet the planes or curved surfaces of faces with one face code."""
+    """Points where rays meet the planes of faces, which all have one face code."""
 
     face_code: int
-    item_index: Shaped[Ints, "k"]  # of the object and its ray, among the arguments
-    t: Shaped[Floats, "k"]
-    footprint_radius: Shaped[Floats, "k"]
+    # The face belongs to the object object_index[item_index], where `object_index` is the argument.
+    item_index: Shaped[Ints, "k"]
+    t: Shaped[Floats, "k"]  # the ray meets the plane at t times the vector from the eye to the hit
+    footprint_radius: Shaped[Floats, "k"]  # of the part of the plane that is visible in the cell
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shape(ABC):
     """All objects of one kind, prepared for the rays of one camera."""
 
-    has_planar_faces: ClassVar[bool]
+    planar_axes: ClassVar[tuple[int, ...]]  # to which planar faces are perpendicular
     has_curved_face: ClassVar[bool]
 
     frame: CameraFrame
@@ -99,6 +104,10 @@ class Shape(ABC):
     # surface are proportional to it.
     coordinate_bound: Shaped[Floats, "objects"]
 
+    @property
+    def has_planar_faces(self) -> bool:
+        return bool(self.planar_axes)
+
     @classmethod
     @abstractmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Shape:
@@ -108,7 +117,24 @@ class Shape(ABC):
     def compute_bounding_boxes(
         self,
     ) -> tuple[Shaped[Floats, "3 objects"], Shaped[Floats, "3 objects"]]:
-        """Compute the smallest and the largest coordinates of each object, in scene axes."""
+        """Compute the smallest and the largest coordinates of each object, in scene axes.
+
+        Planar faces are exactly at these coordinates.
+        """
+
+    def get_face_position(
+        self,
+        object_index: Shaped[Ints, "n"],
+        axis: Shaped[Ints, "n"] | int,
+        normal_sign: Shaped[Floats, "n"] | float,
+    ) -> Shaped[Floats, "n"]:
+        """Look up the coordinate, along an axis, of the planar face that is perpendicular to it.
+
+        The sign, 1 or -1, is the direction along the axis of the normal that faces the eye.
+        """
+        index = self.objects.to_local(object_index)
+        low, high = (take_2d(corner, axis, index) for corner in self.compute_bounding_boxes())
+        return np.where(self.is_eye_inside[index] == (normal_sign > 0), low, high)
 
     # Intersections with rays from the eye.
 
@@ -149,7 +175,20 @@ class Shape(ABC):
             that `compute_tangent_planes` needs.
         """
 
-    @abstractmethod
+    def iterate_directions(
+        self,
+        ray_y: Shaped[Floats, "spans"],
+        ray_x: Shaped[Floats, "n"],
+        ray_count: Shaped[Ints, "spans"] | None,
+    ) -> Iterator[Shaped[Floats, "n"]]:
+        """Yield the x, then the y and then the z components of rays, in scene axes.
+
+        The rays are given span by span, as in `intersect`.
+        """
+        for right, down, ahead in self.frame.axes.T.tolist():
+            span_term = ray_y * down + self.frame.depth * ahead
+            yield ray_x * right + repeat_runs(span_term, ray_count)
+
     def compute_tangent_planes(
         self,
         object_index: Shaped[Ints, "runs"],
@@ -160,8 +199,32 @@ class Shape(ABC):
     ) -> TangentPlanes:
         """Compute the tangent planes at hits.
 
-        Pass the vectors from the eye to the hits, in camera axes, and the results of `intersect`.
+        A subclass with a curved face replaces the normal and the height of the eye at hits on it.
+
+        Parameters
+        ----------
+        run_length
+            Number of hits in each run.
+        to_hit
+            Vectors from the eye to the hits, in camera axes.
+        t, hit_data
+            The results of `intersect`.
         """
+        face_code = hit_data.take(run_length.cumsum() - run_length)
+        face_axis = face_code.astype(np.intp) >> 1
+        normal_sign = np.where(face_code & 1, 1.0, -1.0)
+        plane_axis = np.minimum(face_axis, 2)  # for curved faces, any axis will do
+        face_position = self.get_face_position(object_index, plane_axis, normal_sign)
+        right, down, ahead = (
+            np.asarray(normal_sign * axis[plane_axis]) for axis in self.frame.axes
+        )
+        return TangentPlanes(
+            normal=(right, down, ahead),
+            eye_height=normal_sign * (self.frame.eye[plane_axis] - face_position),
+            face_axis=face_axis,
+            normal_sign=normal_sign,
+            face_position=face_position,
+        )
 
     def are_rows_bounded_by_ends(self) -> bool:
         """Test whether the first and the last hit of a row bound the hits between them.
@@ -173,11 +236,12 @@ class Shape(ABC):
 
     # Tests of shadow segments.
 
-    @abstractmethod
     def find_light_side(
         self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
     ) -> Shaped[Sides, "... n"]:
         """Determine whether lights are `OUTSIDE`, `ON` or `INSIDE` objects."""
+        tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
+        return determine_side(self.measure_distance(object_index, light), tolerance)
 
     @abstractmethod
     def measure_distance(
@@ -212,7 +276,6 @@ class Shape(ABC):
             light is outside the unchanged object.
         """
 
-    @abstractmethod
     def test_capsules(
         self,
         object_index: Shaped[Ints, "n"],
@@ -220,10 +283,11 @@ class Shape(ABC):
         axis_end: Shaped[Triple, "n"],
         capsule_radius: Shaped[Floats, "n"],
     ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-        """Test whether each object blocks some, or all, of the segments in a capsule.
+        """Test whether each object blocks some, or all, of the shadow segments in a capsule.
 
         The segments start at most `capsule_radius` away from `axis_start`, and all end at
-        `axis_end` (Haines and Wallace, Shaft culling, 1991).
+        `axis_end` (Haines and Wallace, Shaft culling, 1991).  Without an override, nothing is
+        certain, and callers test every segment with `occludes`.
 
         Returns
         -------
@@ -232,6 +296,8 @@ class Shape(ABC):
         blocks_all
             True only if the object certainly blocks all segments.
         """
+        may_block, blocks_all = np.full((2, object_index.size), [[True], [False]])
+        return may_block, blocks_all
 
     # Edges.  A cell is a pixel or a square part of a pixel, and six rays pass through six of its
     # points: see `silhouette`.
@@ -249,15 +315,19 @@ class Shape(ABC):
         touches the edge.  All values are 0 or NaN if the viewpoint is inside the object.
         """
 
-    @abstractmethod
     def compute_inverse_t(
         self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
     ) -> Shaped[Floats, "m n"]:
         """Compute 1 / t of rays from the eye, where t * ray is on a face of each object.
 
-        The face is extended beyond its rim: a planar face to the whole plane.  If the ray misses a
-        curved face, the result is any smooth continuation.
+        The face is extended beyond its rim: a planar face to the whole plane.  A subclass with a
+        curved face overrides this method for it; where the ray misses this face, the result is any
+        smooth continuation.
         """
+        axis, normal_sign = _decode_face(face_code)
+        offset = self.get_face_position(object_index, axis, normal_sign) - self.frame.eye[axis]
+        inverse_t: Floats = self.frame.project_onto_axis(ray, axis) / offset
+        return inverse_t
 
     def compute_normals(
         self,
@@ -291,7 +361,7 @@ class Shape(ABC):
         cell_angle
             Angle that half the diagonal of the cell subtends at the eye, in radians.
         """
-        return compute_plane_footprints(cell_radius, cosine, cell_angle)
+        return _compute_plane_footprints(cell_radius, cosine, cell_angle)
 
     def find_near_faces(
         self,
@@ -301,11 +371,26 @@ class Shape(ABC):
         to_hit: Shaped[Floats, "3 n"],
         max_distance: Shaped[Floats, "n"],
     ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
-        """Yield the codes of faces, with the indices of hits on other faces of the same object.
+        """Yield each face code, with the indices of the hits that are near a face with this code.
 
-        The face may be visible, and is at most `max_distance` away from the hit.
+        The hit is on another face of the same object.  The near face may be visible, and is less
+        than `max_distance` away from the hit.  If objects have planar faces and a curved face, the
+        subclass adds the hits near the curved face.
         """
-        yield from ()
+        is_eye_inside = self.is_eye_inside[self.objects.to_local(object_index)]
+        for axis in self.planar_axes:
+            is_other_axis = face_axis != axis
+            if not is_other_axis.any():
+                continue
+            # Offsets are coordinates along the axis, relative to the eye.
+            hit_offset = self.frame.project_onto_axis((to_hit[0], to_hit[1], to_hit[2]), axis)
+            for face_code in (2 * axis, 2 * axis + 1):
+                normal_sign = _decode_face(face_code)[1]
+                position = self.get_face_position(object_index, axis, normal_sign)
+                offset = position - self.frame.eye[axis]
+                is_visible = is_eye_inside | (normal_sign * offset < 0)
+                is_near = np.abs(hit_offset - repeat_runs(offset, run_length)) < max_distance
+                yield face_code, find(is_near & repeat_runs(is_visible & is_other_axis, run_length))
 
     def intersect_other_faces(
         self, object_index: Shaped[Ints, "n"], to_hit: Shaped[Triple, "n"], cell_angle: float
@@ -313,12 +398,35 @@ class Shape(ABC):
         """Yield where the ray through each hit meets the planes of the object's planar faces.
 
         Only faces that may be visible from the eye count.  Besides the face that is hit, they are
-        faces that the ray just misses.
+        faces that the ray just misses.  `cell_angle` is described in `compute_footprint_radii`.
         """
-        yield from ()
+        distance = np.sqrt(dot(to_hit, to_hit))
+        for axis in self.planar_axes:
+            # Offsets are coordinates along the axis, relative to the eye.
+            hit_offset = self.frame.project_onto_axis(to_hit, axis)
+            # The normal of a visible face points against the ray.
+            for face_code in (2 * axis, 2 * axis + 1):
+                normal_sign = _decode_face(face_code)[1]
+                item_index = find((hit_offset <= 0) == (normal_sign > 0))
+                item_offset = hit_offset[item_index]
+                position = self.get_face_position(object_index[item_index], axis, normal_sign)
+                t = (position - self.frame.eye[axis]) / item_offset
+                cell_radius = t * to_hit[2][item_index] * cell_angle
+                cosine = np.abs(item_offset) / distance[item_index]
+                yield FaceHits(
+                    face_code=face_code,
+                    item_index=item_index,
+                    t=t,
+                    footprint_radius=_compute_plane_footprints(cell_radius, cosine, cell_angle),
+                )
 
 
-def compute_plane_footprints(
+def _decode_face(face_code: int) -> tuple[int, float]:
+    """Return the axis of a planar face, and the direction along it (1 or -1) of the normal."""
+    return face_code >> 1, 1.0 if face_code & 1 else -1.0
+
+
+def _compute_plane_footprints(
     cell_radius: Shaped[Floats, "n"], cosine: Shaped[Floats, "n"], cell_angle: float
 ) -> Shaped[Floats, "n"]:
     """Compute the radius of the part of a plane that is visible in each cell.

@@ -27,7 +27,6 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import (
-    LIGHT_TOLERANCE,
     MIN_POWER,
     ON,
     OUTSIDE,
@@ -58,7 +57,7 @@ class _Discs(NamedTuple):
 class Spheres(Shape):
     """The spheres of a scene."""
 
-    has_planar_faces: ClassVar = False
+    planar_axes: ClassVar = ()
     has_curved_face: ClassVar = True
 
     center: Shaped[Floats, "3 objects"]  # in scene axes
@@ -205,12 +204,6 @@ class Spheres(Shape):
         return not self.is_eye_inside.any()
 
     # Tests of shadow segments.
-
-    def find_light_side(
-        self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
-    ) -> Shaped[Sides, "... n"]:
-        tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
-        return determine_side(self.measure_distance(object_index, light), tolerance)
 
     def measure_distance(
         self, object_index: Shaped[Ints, "n"], point: Shaped[Triple, "... #n"]

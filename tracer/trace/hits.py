@@ -1,9 +1,8 @@
 """Hits: the points where rays from the eye meet surfaces.
 
-Hits are grouped by the shape of the object that they lie on.  Within a group, they are divided into
-*runs*: consecutive samples of one row that hit the same face of the same object.
-
-Each hit has a tangent plane: see `TangentPlanes`.
+Hits are grouped by the shape (spheres or boxes) of the object that they lie on.  Within a group,
+they are divided into *runs*: consecutive hits in one row of samples, on the same face of the same
+object.  A flat face has one tangent plane for each run, and a curved face one for each hit.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ class ShapeHits(NamedTuple):
     """All n hits on objects of one shape, divided into runs."""
 
     shape: Shape
-    interval: slice  # of these hits among all hits of a `Hits`
+    interval: slice  # the indices of these hits in the arrays of `Hits`
     sample_index: Shaped[Ints, "n"]
     run_length: Shaped[Ints, "runs"]  # number of hits
     run_object: Shaped[Ints, "runs"]  # object index
@@ -35,7 +34,11 @@ class ShapeHits(NamedTuple):
         return repeat_runs(run_values, self.run_length)
 
     def expand_to_hits(self, plane_values: Shaped[Floats, "planes"]) -> Shaped[Floats, "n"]:
-        """Look up the value of the tangent plane at each hit."""
+        """Return the value of each hit's tangent plane.
+
+        `planes` has one plane for each hit if the shape has a curved face, and otherwise one for
+        each run.
+        """
         return plane_values if self.shape.has_curved_face else self.repeat_runs(plane_values)
 
     def compute_height(
@@ -43,8 +46,9 @@ class ShapeHits(NamedTuple):
     ) -> Shaped[Floats, "n"]:
         """Compute the height of a point above the tangent plane at each hit.
 
-        Planar faces need the position of the point, in scene axes.  Curved faces need the vectors
-        from the hits to the point, in camera axes.  The height is positive on the side of the eye.
+        The height is positive on the side of the eye.  For planar faces, it is computed from the
+        position of the point, in scene axes; for curved faces, from the vectors that lead from the
+        hits to the point, in camera axes.
         """
         planes = self.planes
         if not self.shape.has_planar_faces:
@@ -59,7 +63,7 @@ class ShapeHits(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """All n hits of samples, shape by shape and run by run."""
+    """The n hits of rays through samples, shape by shape and run by run."""
 
     scene: PreparedScene
     samples: Samples
@@ -83,9 +87,8 @@ class Hits(NamedTuple):
     @property
     def eye_height(self) -> Shaped[Floats, "n"]:
         """Distance of the eye from the tangent plane at each hit."""
-        return np.concatenate(
-            [group.expand_to_hits(group.planes.eye_height) for group in self.groups]
-        )
+        group_heights = [group.expand_to_hits(group.planes.eye_height) for group in self.groups]
+        return np.concatenate(group_heights)
 
     @property
     def normal(self) -> Shaped[Triple, "n"]:
@@ -103,7 +106,7 @@ class Hits(NamedTuple):
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def get_object_values(self, values: Shaped[NDArray[Any], "objects"]) -> Any:
-        """Look up, for each hit, the value of its object."""
+        """Return, for each hit, the value of the object that it lies on."""
         return values[self.run_object].repeat(np.diff(self.run_start))
 
     def get_points(self, hit_index: Shaped[Ints, "k"] | slice) -> Shaped[Triple, "k"]:

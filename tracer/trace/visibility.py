@@ -1,15 +1,15 @@
 """Visibility: which surface does the ray through each sample meet first?
 
-Each object is tested only with the rays through samples that it may cover in the picture.  Then the
-nearest intersection at each sample is selected.
+Each object is intersected only with the rays through samples that it may cover in the picture.
+Then the nearest intersection at each sample is selected, and becomes a hit.
 
-A ray has the direction (ray_x, ray_y, depth), in camera axes (see `CameraFrame`).  Its parameter t
-is the distance from the eye divided by the length of the direction; t is infinite if the ray misses
-the object.
+A ray has the direction (ray_x, ray_y, depth), in camera axes (see `CameraFrame`).  The intersection
+is at t times this direction from the eye; t is infinite if the ray misses the object.
 
-There is one group of intersections for each shape.  In a group, (sample, object) pairs are arranged
-in *spans*: consecutive samples in one row, paired with the same object.  Hits are arranged in
-*runs*: consecutive hits in one row of samples, on the same face of the same object.
+Intersections are computed for one shape after the other.  A *pair* consists of a sample and an
+object that may cover it.  Pairs are arranged in *spans*: consecutive samples in one row, paired
+with the same object.  Hits are arranged in *runs*: consecutive hits in one row of samples, on the
+same face of the same object.
 """
 
 from __future__ import annotations
@@ -28,10 +28,9 @@ from tracer.trace.packet_size import assign_depth_layers
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene
 
-# The hits of a run should be close together, so that their bounding sphere is small.  Therefore the
-# picture is divided into vertical strips of this width, in pixels, and the scene into layers:
-# intervals of the depth, about as thick as a few strips are wide (see `assign_depth_layers`).
-# A run of scattered samples ends where the next hit is in another strip or layer.
+# Width of the vertical strips, in pixels, into which the picture is divided for scattered samples.
+# A run ends at the border of a strip, and where the depth changes by more than about the width of a
+# few strips.  So its hits are close together, and shadow tests can enclose them in a small sphere.
 _RUN_WIDTH = 4.0
 
 # Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
@@ -49,9 +48,10 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
 
 
 def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """Find the nearest hits, as `find_nearest_hits`, and hits on all objects behind them.
+    """Find the first hit of the ray through each sample, and the hidden hits behind it.
 
-    A sample may have any number of hidden hits.
+    The first result is that of `find_nearest_hits`.  The second contains the hits of the same rays
+    on all objects that are farther away: any number for each sample.
     """
     groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_t(samples, groups)
@@ -64,7 +64,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 
 
 class _Intersections(NamedTuple):
-    """Intersections of rays with objects of one shape, for n (sample, object) pairs in spans."""
+    """Intersections of rays with objects of one shape, for n pairs of a sample and an object."""
 
     shape: Shape
     sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
@@ -81,7 +81,10 @@ class _Intersections(NamedTuple):
         return repeat_runs(self.object_index, self.sample_count)
 
     def select(self, is_selected: Shaped[Bools, "n"]) -> _Intersections:
-        """Select pairs, in the same order; return this object itself if all pairs are selected."""
+        """Keep the selected pairs, in the same order.
+
+        If all pairs are selected, the result is this object itself.
+        """
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
             return self
@@ -104,27 +107,48 @@ class _Intersections(NamedTuple):
             hit_data=self.hit_data.take(pair_index),
         )
 
-    def find_run_starts(
-        self, samples: Samples, frame: CameraFrame, depth: Shaped[Floats, "n"]
-    ) -> Shaped[Ints, "runs"]:
-        """Find the first hit of each run, from the pairs' samples, objects and depths.
+    def compute_positions(self, depth: float) -> Shaped[Floats, "3 n"]:
+        """Compute the vectors from the eye to the hits, in camera axes.
 
-        A run of scattered samples lies in one row of pixels, and its hits are close together.
+        `depth` is the forward component of all rays.
         """
-        if self.shape.has_planar_faces:
-            is_start = mark_run_starts(self.hit_data)  # face codes
-        else:
-            is_start = np.zeros(depth.size, dtype=np.bool_)
+        ray_y = repeat_runs(self.ray_y, self.sample_count)
+        return np.array([self.t * self.ray_x, self.t * ray_y, self.t * depth])
+
+    def find_run_starts(
+        self, samples: Samples, frame: CameraFrame, hit_depth: Shaped[Floats, "n"]
+    ) -> Shaped[Ints, "runs"]:
+        """Find the index of the first hit of each run; every pair must be a hit.
+
+        `hit_depth` is the distance of each hit ahead of the eye.
+        """
         if self.sample_count is None:
-            x, y = samples.get_positions(self.sample_index)
-            strip, row = np.floor(x / _RUN_WIDTH), np.floor(y)
-            depth_layer = assign_depth_layers(frame, depth, _RUN_WIDTH)
-            is_start |= mark_run_starts(self.object_index, row, strip, depth_layer)
+            is_start = self._mark_scattered_starts(samples, frame, hit_depth)
         else:
-            span_start = self.sample_count.cumsum() - self.sample_count
-            is_start[span_start[self.sample_count > 0]] = True
-            is_start[1:] |= np.diff(self.sample_index) > 1  # a nearer object interrupts the run
+            is_start = self._mark_row_starts(self.sample_count)
+        if self.shape.has_planar_faces:
+            is_start |= mark_run_starts(self.hit_data)  # face codes
         return find(is_start)
+
+    def _mark_row_starts(self, sample_count: Shaped[Ints, "spans"]) -> Shaped[Bools, "n"]:
+        """Mark the hits at which a span starts, or continues behind a nearer object."""
+        is_start = np.zeros(self.t.size, dtype=np.bool_)
+        span_start = sample_count.cumsum() - sample_count
+        is_start[span_start[sample_count > 0]] = True
+        is_start[1:] |= np.diff(self.sample_index) > 1
+        return is_start
+
+    def _mark_scattered_starts(
+        self, samples: Samples, frame: CameraFrame, hit_depth: Shaped[Floats, "n"]
+    ) -> Shaped[Bools, "n"]:
+        """Mark the hits at which the object, the row of pixels, the strip or the depth changes.
+
+        See `_RUN_WIDTH` for strips, and for the reason.
+        """
+        x, y = samples.get_positions(self.sample_index)
+        strip, row = np.floor(x / _RUN_WIDTH), np.floor(y)
+        depth_layer = assign_depth_layers(frame, hit_depth, _RUN_WIDTH)
+        return mark_run_starts(self.object_index, row, strip, depth_layer)
 
 
 def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:
@@ -156,7 +180,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
 
 
 def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Shaped[Floats, "samples"]:
-    """Find the t of the nearest intersection at each sample; `_MAX_T` if there is none."""
+    """Find the t of the nearest intersection at each sample; `_MAX_T` if its ray meets nothing."""
     nearest_t = np.full(samples.size, _MAX_T)
     for group in groups:
         np.minimum.at(nearest_t, group.sample_index, group.t)
@@ -184,23 +208,24 @@ def _select_visible(
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute the positions and tangent planes of hits from intersections, without misses."""
-    from_eye = np.empty((3, sum(group.t.size for group in groups)))
+    """Compute the positions and tangent planes of hits.
+
+    No intersection in the groups may be a miss.
+    """
+    positions = [group.compute_positions(scene.frame.depth) for group in groups]
     shape_hits = list[ShapeHits]()
     start = 0
-    for group in groups:
-        stop = start + group.t.size  # the hits of this group are from_eye[:, start:stop]
-        if start < stop:
-            interval = slice(start, stop)
-            shape_hits.append(_build_shape_hits(scene, samples, group, from_eye, interval))
-        start = stop
+    for group, group_positions in zip(groups, positions, strict=True):
+        if group.t.size:
+            shape_hits.append(_build_shape_hits(scene, samples, group, group_positions, start))
+        start += group.t.size
     # Without groups, np.concatenate needs an array that has the type of the result.
     no_index = np.zeros(0, dtype=np.intp)
     run_length = np.concatenate([no_index, *(group.run_length for group in shape_hits)])
     return Hits(
         scene=scene,
         samples=samples,
-        from_eye=from_eye,
+        from_eye=np.concatenate([np.zeros((3, 0)), *positions], axis=1),
         groups=shape_hits,
         sample_index=np.concatenate([no_index, *(group.sample_index for group in shape_hits)]),
         run_start=np.append(0, run_length.cumsum()),
@@ -212,24 +237,23 @@ def _build_shape_hits(
     scene: PreparedScene,
     samples: Samples,
     group: _Intersections,
-    from_eye: Shaped[Floats, "3 hits"],
-    interval: slice,
+    positions: Shaped[Floats, "3 n"],
+    start: int,
 ) -> ShapeHits:
-    """Compute the hits on objects of one shape, and store their positions in part of `from_eye`."""
-    group_from_eye = from_eye[:, interval]
-    np.multiply(group.t, group.ray_x, out=group_from_eye[0])
-    np.multiply(group.t, repeat_runs(group.ray_y, group.sample_count), out=group_from_eye[1])
-    np.multiply(group.t, scene.frame.depth, out=group_from_eye[2])
-    run_start = group.find_run_starts(samples, scene.frame, group_from_eye[2])
+    """Compute the runs and tangent planes of the hits on objects of one shape.
+
+    Among the hits of all shapes, the first of these hits has the index `start`.
+    """
+    run_start = group.find_run_starts(samples, scene.frame, positions[2])
     run_length = np.diff(run_start, append=group.t.size)
     run_object = group.pair_object[run_start]
     return ShapeHits(
         shape=group.shape,
-        interval=interval,
+        interval=slice(start, start + group.t.size),
         sample_index=group.sample_index,
         run_length=run_length,
         run_object=run_object,
         planes=group.shape.compute_tangent_planes(
-            run_object, run_length, group_from_eye, group.t, group.hit_data
+            run_object, run_length, positions, group.t, group.hit_data
         ),
     )
