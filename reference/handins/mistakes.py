@@ -19,17 +19,10 @@ VARIANTS = ("shadow-own", "shadow-own-lobe", "normals-not-turned")
 """Other correct ways to write a tracer, with which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
-ALWAYS_PAIRED = (
-    "wrapped",
-    "black-overexposed",
-    "normalised-per-pixel",
-    "clipped-per-light",
-    "light-none",
-)
-"""Mistakes that are tried in all pairs, although alone they may give the picture of another.
+ALWAYS_PAIRED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
+"""Mistakes that are tried in all pairs, although alone they may show nothing.
 
-Most of them show only where the radiance exceeds 1, perhaps because of another mistake.  Without
-light, a picture is black as with a camera that sees nothing, but not if there is an ambient term.
+They show only where the radiance exceeds 1, perhaps because of another mistake.
 """
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
 """Mistakes that change levels by one."""

@@ -32,7 +32,8 @@ NO_FALSE_ALARM = [
     ("four-spheres", "image[mine] = color", "image[mine] = color * (dot(n, -ray) < 0.3)[:, None]"),
     # The shading is a little off: no rounding, and no gamma.
     ("highlights", "KS * shine", "1.05 * KS * shine"),
-    ("four-spheres", "KS * shine", "1.05 * KS * shine"),
+    # Levels that are rounded up explain nearly all pixels, but few of them exactly.
+    ("four-spheres", "KS * shine", "1.03 * KS * shine"),
     ("highlights", "** EXPONENT", "** (EXPONENT + 0.5)"),
     ("two-boxes", "return codes", "return np.maximum(codes, 2) - np.uint8(2)"),
 ]
@@ -42,6 +43,20 @@ NO_FALSE_ALARM = [
 def test_an_unknown_mistake_gets_no_known_cause(name: str, old: str, new: str) -> None:
     diagnosis = diagnose_changed(name, (old, new))
     assert (diagnosis.kind, diagnosis.hint) == ("unknown", "")
+
+
+@pytest.mark.parametrize(
+    ("count", "kind", "hint"),
+    [(5, "shadow-none-light-0", ""), (9, "unknown", "shadow-none-light-0"), (40, "unknown", "")],
+)
+def test_a_cause_explains_nearly_all_and_a_hint_most_of_the_wrong_pixels(
+    count: int, kind: str, hint: str
+) -> None:
+    """The mistake shows in about 220 pixels; `count` more are wrong."""
+    codes = student.render_mistakes(scene("two-boxes"), "shadow-none-light-0")
+    codes[0, :count] ^= 64
+    diagnosis = reference("two-boxes").diagnose(Picture(codes))
+    assert (diagnosis.kind, diagnosis.hint) == (kind, hint)
 
 
 def test_no_light_comes_before_other_causes_of_darkness() -> None:
