@@ -1,14 +1,15 @@
 """Classify cells of the picture: can the center sample of a cell represent all of it?
 
 A *cell* is a pixel, or a square part of a pixel.  `classify_cells` traces one *center sample*
-through the centre of each cell, and finds the edges that may cross the cell: silhouettes, creases
+through the center of each cell, and finds the edges that may cross the cell: silhouettes, creases
 between faces, intersections of surfaces, shadow edges, and terminators (where a surface turns away
-from a light).  Silhouettes are computed for pairs of a cell and an object.  All other edges are
-searched for in the *footprint* of a hit: the part of the surface that is visible in the cell.
+from a light).
 
 - A cell is *smooth* if no edge crosses it.  Its mean radiance follows from center samples alone.
-- It is *unresolved* if it may contain something other than straight edges.
-- It is *crowded* if finding all its edges would take longer than sampling it densely.
+- It is *unresolved* if it may contain what the lines that were found do not represent: curved
+  edges, narrow highlights, or shadow edges that were not searched for.
+- It is *crowded* if so many edges were found that finding all, and dividing the cell at them, would
+  take longer than sampling it densely.
 
 The *id* of a sample is an integer that two samples share if they hit the same face of the same
 object, and the same lights are visible from both hits; -1 for the background.
@@ -16,37 +17,28 @@ object, and the same lights are visible from both hits; -1 for the background.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import chain
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import (
-    EdgeValues,
-    Lines,
-    compute_rays,
-    fit_lines,
-)
-from tracer.antialias.edges import (
-    CellSurfaces,
-    ExtendedFaces,
-    compute_footprint_radii,
-    evaluate_silhouettes,
-)
+from tracer.antialias.edge_functions import Lines, fit_lines
+from tracer.antialias.edges import CellSurfaces, find_silhouettes_from_eye
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
-from tracer.arrays import Bools, Floats, Ints, find, split_indices
+from tracer.arrays import Bools, Floats, Ints, find
+from tracer.trace.hits import Hits
 from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
 from tracer.trace.occlusion import find_shadow_edges
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import find_nearest_and_hidden_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
-# Shadow edges are searched for if a footprint's radius is at most this fraction of its distance
-# from the light.  Tuned on the project's scenes: half as much increases errors by up to 1.4 times,
-# twice as much by up to 1.2 times, and the time is the same.
+# Shadow edges are searched for if the radius of the surface that is visible in the cell is at most
+# this fraction of its distance from the light.  Tuned on the project's scenes: half as much
+# increases errors by up to 1.4 times, twice as much by up to 1.2 times, and the time is the same.
 _MAX_FOOTPRINT = 0.1
 
 # Maximum number of lines that divide a cell into regions.  A cell may have more lines; samples must
@@ -64,9 +56,12 @@ class Cells(NamedTuple):
     """Square cells of the picture, all of the same width."""
 
     width: float  # of each cell, in pixels
-    # The result should be as accurate as a uniform grid of this many samples along each side.
+    # The result should be as accurate as a uniform grid of this many samples along each side of a
+    # cell.  The number decides whether a cell that edges cross is sampled or divided.
     samples_per_side: int
-    tolerance: float  # maximum error of the mean radiance of a cell
+    # Maximum error of the mean radiance of a cell.  It decides which edges are straight enough to
+    # be represented by lines, and which smooth cells need no more samples.
+    tolerance: float
     center_x: Shaped[Floats, "cells"]  # in pixels from the left edge of the picture
     center_y: Shaped[Floats, "cells"]  # in pixels from its upper edge
     # Pairs of a cell and an object whose silhouette may cross the cell.
@@ -76,16 +71,19 @@ class Cells(NamedTuple):
     def to_picture(
         self, cell_index: Shaped[Ints, "n"], point_in_cell: Shaped[Points2D, "n"]
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Convert points in cells to x and y in the picture."""
+        """Convert points x + iy of cells to x and y in the picture.
+
+        Points are relative to the center of their cell, in units of its width.
+        """
         x = self.center_x[cell_index] + self.width * point_in_cell.real
         y = self.center_y[cell_index] + self.width * point_in_cell.imag
         return x, y
 
     def divide(self, cell_index: Shaped[Ints, "n"]) -> Cells:
-        """Divide cells (all different) into quarters: the four of the first cell come first.
+        """Divide the given cells into quarters; the four of the first given cell come first.
 
-        Each quarter has half of the samples along each side, rounded up.  It is paired with the
-        same objects as the divided cell.
+        `cell_index` must not contain duplicates.  Each quarter has half of the samples along each
+        side, rounded up.  It is paired with the same objects as the divided cell.
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
@@ -105,7 +103,7 @@ class Cells(NamedTuple):
 
 
 class Classification(NamedTuple):
-    """What `classify_cells` finds in cells, in the terms of this module's docstring."""
+    """What `classify_cells` finds in cells; the docstring of this module defines the terms."""
 
     cells: Cells
     center_samples: CenterSamples
@@ -120,50 +118,104 @@ def classify_cells(
     samples: Samples,
     sample_cell_index: Shaped[Ints, "cells"],
 ) -> Classification:
-    """Classify cells by the edges that may cross them.
+    """Trace the center samples of cells, and classify the cells by the edges that may cross them.
 
-    The samples pass through the centres of the cells, in any order; `sample_cell_index` is the cell
-    of each.
+    Each sample passes through the center of one cell, whose index is in `sample_cell_index`.
     """
     hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
-    surfaces = CellSurfaces(
-        hits=hits,
-        faces=ExtendedFaces.from_hits(hits),
-        cell_index=sample_cell_index[hits.sample_index],
-        footprint_radius=compute_footprint_radii(hits, cells.width),
-        cell_width=cells.width,
-    )
-    geometry_edges = chain(
-        _find_silhouettes_from_eye(scene, cells),
-        surfaces.find_intersections(hidden_hits),
-        surfaces.find_creases(),
-    )
-    geometry_fits = fit_lines(geometry_edges, cells.tolerance)
+    hit_cell_index = sample_cell_index[hits.sample_index]
+    surfaces = CellSurfaces.from_hits(hits, hit_cell_index, cells.width)
     shading = Shading(hits, with_ids=True)
-    light_edges = [
+    found = [_find_edges_of_surfaces(scene, cells, surfaces, hidden_hits)]
+    found += [
         _shade_and_find_edges(shading, surfaces, lights, cells.tolerance)
         for lights in scene.iterate_light_batches()
     ]
-    all_lines = Lines.concatenate([geometry_fits.lines, *(each.lines for each in light_edges)])
-    lines = all_lines.sort_and_deduplicate()
+    lines = Lines.concatenate([each.lines for each in found]).sort_and_deduplicate()
     cell_count = sample_cell_index.size
-    is_unresolved = _mark_cells(cell_count, (each.unresolved_index for each in light_edges))
-    is_unresolved[geometry_fits.curved_cell_index] = True
-    is_crowded = _mark_cells(cell_count, (each.crowded_index for each in light_edges))
+    is_crowded = _mark_cells(cell_count, [each.crowded_index for each in found])
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell_index, minlength=cell_count) > MAX_LINES
     return Classification(
         cells=cells,
-        center_samples=_collect_center_samples(shading, sample_cell_index, surfaces.cell_index),
+        center_samples=_collect_center_samples(shading, sample_cell_index, hit_cell_index),
         lines=lines.limit_per_cell(MAX_LINES),
-        is_unresolved=is_unresolved,
+        is_unresolved=_mark_cells(cell_count, [each.unresolved_index for each in found]),
         is_crowded=is_crowded,
+    )
+
+
+class _FoundEdges(NamedTuple):
+    """Lines that represent edges, and the cells in which they do not suffice.
+
+    An index of a cell may be repeated.
+    """
+
+    lines: Lines
+    unresolved_index: Shaped[Ints, "k"]
+    crowded_index: Shaped[Ints, "j"]
+
+
+def _find_edges_of_surfaces(
+    scene: PreparedScene, cells: Cells, surfaces: CellSurfaces, hidden_hits: Hits
+) -> _FoundEdges:
+    """Find the edges that do not depend on lights: silhouettes, intersections and creases."""
+    silhouettes = find_silhouettes_from_eye(
+        scene,
+        cells.center_x[cells.pair_cell_index],
+        cells.center_y[cells.pair_cell_index],
+        cells.width,
+        cell_index=cells.pair_cell_index,
+        object_index=cells.pair_object_index,
+    )
+    intersections = surfaces.find_intersections(hidden_hits)
+    edges = chain(silhouettes, intersections, surfaces.find_creases())
+    lines, curved_cell_index = fit_lines(edges, cells.tolerance)
+    no_index = np.zeros(0, dtype=np.intp)
+    return _FoundEdges(lines=lines, unresolved_index=curved_cell_index, crowded_index=no_index)
+
+
+def _shade_and_find_edges(
+    shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
+) -> _FoundEdges:
+    """Add lights to the radiance of hits, and find the edges that the lights cause.
+
+    These are shadow edges and terminators.  The radiance is added to `shading`.
+    """
+    hits = surfaces.hits
+    footprint_radius = surfaces.footprint_radius
+    geometry = compute_light_geometry(hits, lights)
+    faces_light = geometry.n_dot_l > 0
+    # Near a light, shadow edges are not searched for.  The cells become unresolved below, whatever
+    # edges they contain.
+    min_squared_distance = (footprint_radius / _MAX_FOOTPRINT) ** 2
+    is_near_light = np.any(geometry.squared_distance < min_squared_distance, axis=0)
+    search_radius = np.where(is_near_light, 0, footprint_radius)
+    shadow_edges = find_shadow_edges(hits, lights, faces_light, search_radius)
+    shading.add(geometry, faces_light & ~shadow_edges.is_blocked)
+    edges = chain(
+        surfaces.find_shadow_edges(lights.near_position, shadow_edges.edges),
+        surfaces.find_terminators(
+            lights.near_position, geometry.n_dot_l, geometry.squared_distance
+        ),
+    )
+    lines, curved_cell_index = fit_lines(edges, tolerance)
+    hit_cell_index = surfaces.cell_index
+    highlights = find_narrow_highlights(geometry, faces_light, footprint_radius)
+    highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
+    # `shadow_edges` omits some edges of crowded hits, which have too many.
+    unsearched_index = hit_cell_index[is_near_light | shadow_edges.is_crowded]
+    return _FoundEdges(
+        lines=lines,
+        unresolved_index=np.concatenate([unsearched_index, curved_cell_index, *highlight_indices]),
+        crowded_index=hit_cell_index[shadow_edges.is_crowded],
     )
 
 
 def _mark_cells(
     cell_count: int, index_arrays: Iterable[Shaped[Ints, "k"]]
 ) -> Shaped[Bools, "cell_count"]:
+    """Mark the cells whose index is in any of the arrays."""
     is_marked = np.zeros(cell_count, dtype=np.bool_)
     for cell_index in index_arrays:
         is_marked[cell_index] = True
@@ -175,72 +227,12 @@ def _collect_center_samples(
     sample_cell_index: Shaped[Ints, "cells"],
     hit_cell_index: Shaped[Ints, "hits"],
 ) -> CenterSamples:
-    """Collect the center samples in the order of the cells, once all lights have been added."""
+    """Collect the radiance and the id of each center sample, in the order of the cells.
+
+    All lights must have been added to `shading`.
+    """
     radiance = np.empty((3, sample_cell_index.size))
     radiance[:, sample_cell_index] = shading.compute_radiance()
     sample_id = np.full(sample_cell_index.size, -1)
     sample_id[hit_cell_index] = shading.visibility_ids
     return CenterSamples(radiance=radiance, id=sample_id)
-
-
-class _LightEdges(NamedTuple):
-    """The edges that lights cause: shadow edges and terminators.
-
-    An index of a cell may be repeated.
-    """
-
-    lines: Lines
-    # Cells that may contain a narrow highlight, or an edge that no line represents.
-    unresolved_index: Shaped[Ints, "k"]
-    crowded_index: Shaped[Ints, "j"]
-
-
-def _shade_and_find_edges(
-    shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
-) -> _LightEdges:
-    """Add lights to the radiance of hits (`shading`), and find the edges that they cause."""
-    hits = surfaces.hits
-    hit_cell_index = surfaces.cell_index
-    footprint_radius = surfaces.footprint_radius
-    geometry = compute_light_geometry(hits, lights)
-    faces_light = geometry.n_dot_l > 0
-    # Cells with wide footprints become unresolved (`unsearched_index` below), whatever edges they
-    # contain, so no shadow edges are searched for there.
-    min_squared_distance = (footprint_radius / _MAX_FOOTPRINT) ** 2
-    has_wide_footprint = np.any(geometry.squared_distance < min_squared_distance, axis=0)
-    search_radius = np.where(has_wide_footprint, 0, footprint_radius)
-    shadow_edges = find_shadow_edges(hits, lights, faces_light, search_radius)
-    shading.add(geometry, faces_light & ~shadow_edges.is_blocked)
-    terminators = surfaces.find_terminators(
-        lights.near_position, geometry.n_dot_l, geometry.squared_distance
-    )
-    shadow_edge_values = surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges.edges)
-    edges = chain(shadow_edge_values, terminators)
-    lines, curved_cell_index = fit_lines(edges, tolerance)
-    highlights = find_narrow_highlights(geometry, faces_light, footprint_radius)
-    highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
-    unsearched_index = hit_cell_index[has_wide_footprint | shadow_edges.is_crowded]
-    return _LightEdges(
-        lines=lines,
-        unresolved_index=np.concatenate([unsearched_index, curved_cell_index, *highlight_indices]),
-        crowded_index=hit_cell_index[shadow_edges.is_crowded],
-    )
-
-
-def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield the silhouette edges, seen from the eye, that may cross cells."""
-    frame = scene.frame
-    for batch in split_indices(np.arange(cells.pair_cell_index.size)):
-        cell_index = cells.pair_cell_index[batch]
-        object_index = cells.pair_object_index[batch]
-        ray_x = frame.to_ray_x(cells.center_x[cell_index])
-        ray_y = frame.to_ray_y(cells.center_y[cell_index])
-        ray = compute_rays(frame, ray_x, ray_y, cells.width)
-        yield from evaluate_silhouettes(
-            scene,
-            frame.eye[None],
-            ray,
-            viewpoint_index=np.zeros_like(cell_index),
-            cell_index=cell_index,
-            object_index=object_index,
-        )

@@ -1,27 +1,12 @@
-"""Edge functions: functions of the position in the picture that are zero on an edge (Pineda 1988).
+"""Fit straight lines to the edges that cross cells, from values of edge functions.
 
-A cell is a pixel or a square part of a pixel.  From the values of an edge function at six points of
-a cell, `fit_lines` computes the straight line that represents the edge in the cell, or finds that
-the edge is too curved for a line.
+An *edge function* is a smooth function of the position in the picture that is zero on an edge
+(Pineda 1988); `edges` lists those of all edges.  A *cell* is a pixel or a square part of a pixel.
+Each edge function is evaluated at six points of a cell.  The quadratic polynomial through the six
+values shows where the edge crosses the cell, and how much it turns there.  If it turns little, a
+straight line represents it.
 
-Each edge function is computed from the ray from the eye through the position:
-
-==========================  ======================================================================
-silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
-                            minus the angular radius of the sphere
-silhouette edge of a box    n . ray, with the normal n of the plane through viewpoint and edge
-intersection of surfaces,   1 / t1 - 1 / t2, where the points t1 * ray and t2 * ray lie on the two
-or crease                   surfaces
-terminator                  the cosine between the normal and the direction to the light
-==========================  ======================================================================
-
-The functions of silhouettes are evaluated by `Shape.find_silhouettes`, and all others by
-`CellSurfaces` (see `edges`), from the 1 / t that `ExtendedFaces` computes.
-
-The *viewpoint* of a silhouette is the eye or a light.  Silhouettes seen from a light are the edges
-of shadows; the ray then leads from the light to the surface that is visible in the cell.
-
-All vectors are in the axes of the camera, relative to the eye.
+Positions in a cell are relative to its center, in units of its width; the y-axis points down.
 
 Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 """
@@ -29,25 +14,17 @@ Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import chain
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import (
-    Floats,
-    Ints,
-    Triple,
-    find,
-    mark_run_starts,
-    scale,
-)
+from tracer.arrays import Floats, Ints, Triple, find, mark_run_starts, scale
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import bound_variation
 
-# The six points of a cell relative to its centre, in units of the cell's width: the centre; the
-# centres of the right, left, lower and upper sides; and the lower right corner.
+# The six points of a cell: the center; the centers of the right, left, lower and upper sides; and
+# the lower right corner.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
@@ -55,8 +32,8 @@ _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 # the project's scenes: with half of it, errors of 4 samples per pixel are up to 1.6 times as large.
 _MAX_TURN = 0.5
 
-# An edge counts as straight if it turns by at most this many radians times the cell's tolerance in
-# radiance.  Half or twice as much changes errors and times by 1 %.
+# An edge counts as straight if it turns by at most this many radians times the tolerance of the
+# mean radiance.  Half or twice as much changes errors and times by 1 %.
 _TURN_PER_TOLERANCE = 500.0
 
 
@@ -70,9 +47,8 @@ class EdgeValues(NamedTuple):
 class Lines(NamedTuple):
     """Straight lines c + a x + b y = 0 that cross cells.
 
-    The coordinates x and y are relative to the centre of the cell, in units of the cell's width.
-    The y-axis points down.  The coefficients are scaled so that the maximum of |a x + b y| in the
-    cell is 1, and that a > 0 (or b > 0 if a = 0).
+    The coefficients are scaled so that the maximum of |a x + b y| in the cell is 1, and that a > 0
+    (or b > 0 if a = 0).
     """
 
     cell_index: Shaped[Ints, "n"]
@@ -109,10 +85,19 @@ def compute_rays(
     center_ray_y: Shaped[Floats, "n"],
     cell_width: float,
 ) -> Shaped[Triple, "#6 n"]:
-    """Compute the rays from the eye through the six points of cells that `_POINT_X` lists.
+    """Compute the directions of rays from the eye through six points of each cell.
 
-    The arguments give the rays through the centres of cells that are `cell_width` pixels wide.  The
-    forward components, which are all `frame.depth`, have a single row for all six points.
+    The points are the center of the cell; the centers of its right, left, lower and upper sides;
+    and its lower right corner.  The directions are in camera axes.  All have the same forward
+    component, which therefore has a single row.
+
+    Parameters
+    ----------
+    center_ray_x, center_ray_y
+        Components to the right and down of the ray through the center of each cell, whose forward
+        component is `frame.depth`.
+    cell_width
+        Width of the cells, in pixels.
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
@@ -121,30 +106,67 @@ def compute_rays(
 
 
 class FittedLines(NamedTuple):
-    """Lines that represent edges, and the cells in which they do not suffice."""
+    """Lines that represent edges, and the cells in which lines do not suffice."""
 
-    # A line for each edge that turns by at most `_MAX_TURN`, unless the line misses the cell.
+    # At most one line for each edge: none if the edge turns by more than `_MAX_TURN`, or if its
+    # line misses the cell.
     lines: Lines
-    # Cells with an edge that turns too much for the tolerance, or whose values are unknown; an
-    # index may be repeated.
+    # Cells that an edge may cross that turns too much, or whose values are unknown.  Indices may be
+    # repeated.
     curved_cell_index: Shaped[Ints, "k"]
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
-    """Fit a straight line to each edge.  For `tolerance`, see `Cells`."""
+    """Fit a straight line to each edge, from batches of values of edge functions.
+
+    `tolerance` is the maximum error of the mean radiance of a cell.  The smaller it is, the less an
+    edge may turn before its cell counts as curved.  A curved edge may have a line, too.
+    """
+    max_turn = min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN)
+    # Without edges, there is still an empty batch to concatenate.
     no_edges = EdgeValues(cell_index=np.zeros(0, dtype=np.intp), values=np.zeros((6, 0)))
-    fits = (_fit_line_batch(batch, tolerance) for batch in chain([no_edges], edges))
-    batch_lines, curved_cell_index = zip(*fits, strict=True)
+    fits = [_fit_line_batch(no_edges, max_turn)]
+    fits += [_fit_line_batch(batch, max_turn) for batch in edges]
     return FittedLines(
-        lines=Lines.concatenate(batch_lines), curved_cell_index=np.concatenate(curved_cell_index)
+        lines=Lines.concatenate([fit.lines for fit in fits]),
+        curved_cell_index=np.concatenate([fit.curved_cell_index for fit in fits]),
+    )
+
+
+def _fit_line_batch(edges: EdgeValues, max_turn: float) -> FittedLines:
+    """Fit a line to each edge; report the cells of edges that turn by more than `max_turn` radians.
+
+    The line is parallel to the edge near the center of the cell, and lies at the mean position of
+    the edge.
+    """
+    quadratics = _Quadratics.from_values(edges.values)
+    h_across = quadratics.compute_second_derivatives(quadratics.a, quadratics.b)
+    zero_x, zero_y = quadratics.find_nearest_zeros(h_across)
+    planes = quadratics.compute_tangent_planes(zero_x, zero_y)
+    h_along = quadratics.compute_second_derivatives(-planes.b, planes.a)
+    lines = planes.find_lines(edges.cell_index, h_along)
+    # Over a length of 1, the edge turns by |h_along| / |gradient| radians.  If the gradient changes
+    # much across the edge, the cell may contain both sides of a small object.
+    gradient = np.sqrt(planes.a * planes.a + planes.b * planes.b)
+    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / gradient
+    has_line = turn <= _MAX_TURN
+    line_crosses_cell = np.abs(lines.c) < 1
+    # An edge that turns much may cross a cell that its line misses.  It does not cross the cell if
+    # the function has no zero there, which is certain if |c| > 1.  The negated tests are True for
+    # NaN.
+    may_cross = np.where(has_line, line_crosses_cell, ~(np.abs(quadratics.c) > 1))
+    is_curved = may_cross & ~(turn <= max_turn)
+    return FittedLines(
+        lines=lines.take(find(has_line & line_crosses_cell)),
+        curved_cell_index=edges.cell_index[find(is_curved)],
     )
 
 
 class _Quadratics(NamedTuple):
-    """Functions f(p) = c + g . p + p . H p / 2 of a point p = (x, y), as in `Lines`.
+    """Quadratic polynomials c + g . p + p . H p / 2 of a position p = (x, y) in a cell.
 
-    The gradient g at the centre is (a, b); H is a symmetric matrix.  The scale of f is such that
-    |f(p) - c| is at most 1 in the cell.
+    The vector g = (a, b) is the gradient at the center, and H is the symmetric matrix of second
+    derivatives.  In the cell, a polynomial differs from c by at most 1.
     """
 
     c: Shaped[Floats, "n"]
@@ -156,8 +178,8 @@ class _Quadratics(NamedTuple):
 
     @classmethod
     def from_values(cls, values: Shaped[Floats, "6 n"]) -> _Quadratics:
-        """Interpolate the values of edge functions at six points, after scaling."""
-        # Without scaling, squares of very small or very large values would be 0 or infinite.
+        """Interpolate the values of edge functions at the six points of a cell, after scaling."""
+        # Without scaling, squares of very small or very large values would underflow or overflow.
         center, right, left, lower, upper, corner = values / bound_variation(values)
         return cls(
             c=center,
@@ -171,25 +193,28 @@ class _Quadratics(NamedTuple):
     def compute_second_derivatives(
         self, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
     ) -> Shaped[Floats, "n"]:
-        """Compute the second derivatives of f in the directions of the vectors (x, y)."""
-        along_both = x * x * self.h_xx + 2 * x * y * self.h_xy + y * y * self.h_yy
-        return along_both / (x * x + y * y)
+        """Compute the second derivatives in the directions of vectors v = (x, y) of any length."""
+        # This is v . H v / |v|^2.
+        quadratic_form = x * x * self.h_xx + 2 * x * y * self.h_xy + y * y * self.h_yy
+        return quadratic_form / (x * x + y * y)
 
     def find_nearest_zeros(
-        self, h_gradient: Shaped[Floats, "n"]
+        self, h_across: Shaped[Floats, "n"]
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Find x and y of the zero nearest to the centre, on the line along g through the centre.
+        """Find x and y of a zero near the center: the nearest on the line along the gradient g.
 
-        A zero outside the cell is replaced by the point at which the line leaves the cell.
-        `h_gradient` is the second derivative along g.
+        The line passes through the center.  If the zero is outside the cell, the result is the
+        point at which the line leaves the cell.  `h_across` is the second derivative along g.
         """
-        # At the point s g, with G = |g|^2 and the second derivative h, f is c + G s + G h s^2 / 2.
-        # The zero nearest to s = 0 is s = -2 c / (G + root), where root^2 = G^2 - 2 c G h.  The
-        # usual form, (root - G) / (G h), fails if h is 0 and is inexact if h is small.
+        # At the point s g, with G = |g|^2 and the second derivative h, the value is
+        # c + G s + G h s^2 / 2.  Its zeros are s = (-G +- root) / (G h) = -2 c / (G +- root), where
+        # root^2 = G^2 - 2 c G h.  The nearest to 0 is s = -2 c / (G + root), which is accurate also
+        # if h is small or 0.
         squared_gradient = self.a * self.a + self.b * self.b
-        discriminant = squared_gradient * (squared_gradient - 2 * self.c * h_gradient)
-        # If it is negative, f has no zero on the line.  Its absolute value then gives some finite
-        # point in the direction in which |f| decreases.
+        discriminant = squared_gradient * (squared_gradient - 2 * self.c * h_across)
+        # If the discriminant is negative, there is no zero on the line.  Its root would be NaN, and
+        # the cell would count as crossed by a curved edge.  The absolute value gives a point in the
+        # direction in which the polynomial approaches 0.
         root = np.sqrt(np.abs(discriminant))
         step = -2 * self.c / (squared_gradient + root)
         max_step = 0.5 / np.maximum(np.abs(self.a), np.abs(self.b))
@@ -199,7 +224,7 @@ class _Quadratics(NamedTuple):
     def compute_tangent_planes(
         self, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
     ) -> _TangentPlanes:
-        """Compute the linear functions with the value and the gradient of f at the point (x, y)."""
+        """Compute linear functions with the values and gradients of the polynomials at (x, y)."""
         square_part = x * (self.h_xx * x + 2 * self.h_xy * y) + y * self.h_yy * y
         value = self.c + self.a * x + self.b * y + 0.5 * square_part
         a = self.a + self.h_xx * x + self.h_xy * y
@@ -208,43 +233,21 @@ class _Quadratics(NamedTuple):
 
 
 class _TangentPlanes(NamedTuple):
-    """Linear functions c + a x + b y."""
+    """Linear functions c + a x + b y that approximate edge functions near the edges."""
 
     c: Shaped[Floats, "n"]
     a: Shaped[Floats, "n"]
     b: Shaped[Floats, "n"]
 
     def find_lines(self, cell_index: Shaped[Ints, "n"], h_along: Shaped[Floats, "n"]) -> Lines:
-        """Find the lines of zeros, moved to the mean positions of the edges.
+        """Find the lines on which the functions are zero, moved to the mean positions of the edges.
 
         `h_along` is the second derivative of the edge function along the line.
         """
         max_change = 0.5 * (np.abs(self.a) + np.abs(self.b))
         is_negative = (self.a < 0) | ((self.a == 0) & (self.b < 0))
         scale_factor = np.where(is_negative, -1.0, 1.0) / max_change
-        # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
+        # At the distance s along the line, the edge function differs from the linear one by
+        # h_along s^2 / 2.  Over a length of 1, from s = -1/2 to 1/2, the mean is h_along / 24.
         a, b, c = scale((self.a, self.b, self.c + h_along / 24), scale_factor)
         return Lines(cell_index=cell_index, a=a, b=b, c=c)
-
-
-def _fit_line_batch(edges: EdgeValues, tolerance: float) -> FittedLines:
-    """Fit a line to each edge, parallel to it near the centre, at the edge's mean position."""
-    f = _Quadratics.from_values(edges.values)
-    h_across = f.compute_second_derivatives(f.a, f.b)
-    plane = f.compute_tangent_planes(*f.find_nearest_zeros(h_across))
-    h_along = f.compute_second_derivatives(-plane.b, plane.a)
-    lines = plane.find_lines(edges.cell_index, h_along)
-    # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
-    # across the edge, the cell may contain both sides of a small object.
-    gradient = np.sqrt(plane.a * plane.a + plane.b * plane.b)
-    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / gradient
-    has_line = turn <= _MAX_TURN
-    crosses_cell = np.abs(lines.c) < 1
-    # A curved edge may cross a cell that its tangent misses, but none in which f has no zero, which
-    # is certain if |f.c| > 1.  The negated tests are True for NaN.
-    may_cross = np.where(has_line, crosses_cell, ~(np.abs(f.c) > 1))
-    is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
-    return FittedLines(
-        lines=lines.take(find(has_line & crosses_cell)),
-        curved_cell_index=edges.cell_index[find(is_curved)],
-    )

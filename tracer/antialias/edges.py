@@ -1,15 +1,28 @@
-"""Find the edges that may cross cells of the picture: silhouettes, creases, shadows, terminators.
+"""Find the edges that may cross cells of the picture, and evaluate their edge functions.
 
-A cell is a pixel or a square part of a pixel.  Each edge is described by an edge function: a smooth
-function of the position in the picture that is zero on the edge.  The functions of this module
-yield the values of edge functions at six points of each cell (see `edge_functions`, which lists
-them).
+A *cell* is a pixel or a square part of a pixel.  An *edge function* is a smooth function of the
+position in the picture that is zero on an edge.  The functions of this module yield the values of
+edge functions at six points of each cell, from which `fit_lines` makes lines.  All values follow
+from the rays from the eye through these points:
 
-*Silhouettes* are the outlines of objects; seen from a light, they are the edges of shadows.  They
-are computed for all pixels that the outline of an object may cross, so that an object is found even
-if no sample hits it.  All other edges are searched for around the *hit* of each cell, which is the
-point where the ray through the centre of the cell meets a surface.  The search covers the
+==========================  ======================================================================
+silhouette of a sphere      the angle between the ray and the direction to the sphere's center,
+                            minus the angular radius of the sphere
+silhouette edge of a box    n . ray, with the normal n of the plane through viewpoint and edge
+intersection of surfaces,   1 / t1 - 1 / t2, where the points t1 * ray and t2 * ray lie on the two
+or crease                   surfaces
+terminator                  the cosine between the normal and the direction to the light
+==========================  ======================================================================
+
+A *silhouette* is the outline of an object, seen from a *viewpoint*: the eye or a light.  An outline
+seen from a light is the edge of a shadow; the ray in the table then leads from the light to the
+surface that is visible in the cell.
+
+Except for silhouettes seen from the eye, edges are searched for around the *hit* of a cell, which
+is the point where the ray through the center of the cell meets a surface.  The search covers the
 *footprint* of the hit, which is the part of the surface that is visible in the cell.
+
+Vectors are in camera axes, relative to the eye, unless scene axes are mentioned.
 """
 
 from __future__ import annotations
@@ -40,32 +53,34 @@ from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import PreparedScene
 
 
-def compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n"]:
-    """Compute the radius of the footprint of each hit, in the scene's unit of length.
+def find_silhouettes_from_eye(
+    scene: PreparedScene,
+    center_x: Shaped[Floats, "pairs"],
+    center_y: Shaped[Floats, "pairs"],
+    cell_width: float,
+    *,
+    cell_index: Shaped[Ints, "pairs"],
+    object_index: Shaped[Ints, "pairs"],
+) -> Iterator[EdgeValues]:
+    """Yield the silhouettes, seen from the eye, that may cross cells, for pairs of cell and object.
 
-    The cells are `cell_width` pixels wide.
+    The center of the cell of each pair, and the width of all cells, are in pixels.
     """
-    cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
-    distance = hits.distance
-    footprint_radius = np.empty(distance.size)
-    for group in hits.groups:
-        cell_radius = hits.from_eye[2][group.interval] * cell_angle
-        cosine = group.expand_to_hits(group.planes.eye_height) / distance[group.interval]
-        footprint_radius[group.interval] = group.shape.compute_footprint_radii(
-            group.run_object, group.run_length, cell_radius, cosine, cell_angle
+    frame = scene.frame
+    for batch in split_indices(np.arange(cell_index.size)):
+        ray_x = frame.to_ray_x(center_x[batch])
+        ray_y = frame.to_ray_y(center_y[batch])
+        yield from _evaluate_silhouettes(
+            scene,
+            frame.eye[None],
+            compute_rays(frame, ray_x, ray_y, cell_width),
+            viewpoint_index=np.zeros_like(batch),
+            cell_index=cell_index[batch],
+            object_index=object_index[batch],
         )
-    return footprint_radius
 
 
-def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
-    """Compute the angle in radians that half the diagonal of a cell subtends at the eye.
-
-    The cell is straight ahead of the eye; all others subtend smaller angles.
-    """
-    return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
-
-
-def evaluate_silhouettes(
+def _evaluate_silhouettes(
     scene: PreparedScene,
     viewpoint: Shaped[Floats, "viewpoints 3"],
     ray: Shaped[Triple, "#6 n"],
@@ -74,41 +89,43 @@ def evaluate_silhouettes(
     cell_index: Shaped[Ints, "n"],
     object_index: Shaped[Ints, "n"],
 ) -> Iterator[EdgeValues]:
-    """Yield the edges of silhouettes that may cross cells, from pairs of a cell and an object.
+    """Yield the silhouettes that may cross cells, for n pairs of a cell and an object.
 
     Parameters
     ----------
     viewpoint
         Positions of the eye or of lights, in scene axes.
     ray
-        Directions from the viewpoint to the visible surface at six points of each cell (see
-        `compute_rays`), in camera axes.
+        For each pair, six directions from its viewpoint to what is visible at the six points of the
+        cell (see `compute_rays`), in camera axes.
+    viewpoint_index
+        Index of the viewpoint of each pair.
     """
     for shape in scene.shapes:
-        column = find(shape.objects.contains(object_index))
-        if column.size:
+        pair_index = find(shape.objects.contains(object_index))
+        if pair_index.size:
             edges = shape.find_silhouettes(
-                object_index[column],
-                viewpoint.T[:, viewpoint_index[column]],
-                take_columns(ray, column),
+                object_index[pair_index],
+                viewpoint.T[:, viewpoint_index[pair_index]],
+                take_columns(ray, pair_index),
             )
-            yield EdgeValues(cell_index=cell_index[column[edges.item_index]], values=edges.values)
+            edge_pair_index = pair_index[edges.item_index]
+            yield EdgeValues(cell_index=cell_index[edge_pair_index], values=edges.values)
 
 
-class ExtendedFaces(NamedTuple):
+class _ExtendedFaces(NamedTuple):
     """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
 
     A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
     1 / t = d . n / (n . p).
     """
 
-    shapes: list[Shape]  # shapes with curved faces
-    scaled_normal: Shaped[Triple, "n"]  # n / (n . p)
+    curved_shapes: list[Shape]  # all shapes that have a curved face
+    scaled_normal: Shaped[Triple, "n"]  # n / (n . p); meaningless for curved faces
     curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
 
     @classmethod
-    def from_hits(cls, hits: Hits) -> ExtendedFaces:
-        """Collect the face that each hit is on."""
+    def from_hits(cls, hits: Hits) -> _ExtendedFaces:
         scaled_normal = np.empty(hits.from_eye.shape)
         curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
         for group in hits.groups:
@@ -120,74 +137,73 @@ class ExtendedFaces(NamedTuple):
                 scaled_component = component / -planes.eye_height
                 scaled_normal[axis, group.interval] = group.expand_to_hits(scaled_component)
         return cls(
-            shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
+            curved_shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
             scaled_normal=(scaled_normal[0], scaled_normal[1], scaled_normal[2]),
             curved_object=curved_object,
         )
 
-    def take(self, face_index: Shaped[Ints, "m"]) -> ExtendedFaces:
+    def take(self, face_index: Shaped[Ints, "m"]) -> _ExtendedFaces:
         return self._replace(
             scaled_normal=take(self.scaled_normal, face_index),
             curved_object=self.curved_object[face_index],
         )
 
     def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
-        """Compute 1 / t for six rays to each face, where t * ray is the point on the face."""
+        """Compute 1 / t of six rays for each face, where the point t * ray lies on the face.
+
+        If a ray misses a curved face, the result is a smooth continuation.
+        """
         inverse_t = dot(self.scaled_normal, ray)
-        for shape in self.shapes:
-            column = find(shape.objects.contains(self.curved_object))
-            if column.size:
-                curved_ray = take_columns(ray, column)
-                inverse_t[:, column] = shape.compute_inverse_t(
-                    CURVED_FACE, self.curved_object[column], curved_ray
+        for shape in self.curved_shapes:
+            face_index = find(shape.objects.contains(self.curved_object))
+            if face_index.size:
+                inverse_t[:, face_index] = shape.compute_inverse_t(
+                    CURVED_FACE, self.curved_object[face_index], take_columns(ray, face_index)
                 )
         return inverse_t
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that are visible in cells, at hits, at most one in each cell.
+    """The surfaces that are visible at the centers of cells: at most one hit for each cell.
 
-    The methods find the edges that may cross the cells.
+    The methods yield batches of edges that may cross the cells.
     """
 
     hits: Hits
-    faces: ExtendedFaces  # that the hits are on
+    faces: _ExtendedFaces  # that the hits are on
     cell_index: Shaped[Ints, "hits"]
     footprint_radius: Shaped[Floats, "hits"]
     cell_width: float  # in pixels
 
-    def trace_rays(
-        self, hit_index: Shaped[Ints, "k"]
-    ) -> tuple[Shaped[Triple, "#6 k"], Shaped[Floats, "6 k"]]:
-        """Compute the rays of cells (see `compute_rays`), and intersect them with their faces.
-
-        The second result is 1 / t for each ray, where t * ray is the vector from the eye to the
-        face, extended beyond its rim.
-        """
-        frame = self.hits.scene.frame
-        x, y, z = take(self.hits.from_eye, hit_index)
-        depth_ratio = frame.depth / z
-        ray = compute_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
-        return ray, self.faces.take(hit_index).compute_inverse_t(ray)
+    @classmethod
+    def from_hits(
+        cls, hits: Hits, cell_index: Shaped[Ints, "hits"], cell_width: float
+    ) -> CellSurfaces:
+        return cls(
+            hits=hits,
+            faces=_ExtendedFaces.from_hits(hits),
+            cell_index=cell_index,
+            footprint_radius=_compute_footprint_radii(hits, cell_width),
+            cell_width=cell_width,
+        )
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
-        """Yield an edge for each cell in which the visible surface and one behind it may meet.
+        """Yield edges where the visible surface of a cell may meet a surface behind it.
 
-        The hidden hits are behind the visible hits, on the same rays.
+        The hidden hits lie behind the visible hits, on the same rays from the eye.
         """
-        sample_index = self.hits.sample_index
-        hit_by_sample = np.empty(int(sample_index.max(initial=0)) + 1, dtype=np.intp)
-        hit_by_sample[sample_index] = np.arange(sample_index.size)
+        hit_by_sample = np.empty(self.hits.samples.size, dtype=np.intp)
+        hit_by_sample[self.hits.sample_index] = np.arange(self.cell_index.size)
         visible_hit_index = hit_by_sample[hidden_hits.sample_index]
         # Surfaces that meet within the cell are at most this far apart along the ray.
-        max_gap = compute_footprint_radii(hidden_hits, self.cell_width)
+        max_gap = _compute_footprint_radii(hidden_hits, self.cell_width)
         max_gap += self.footprint_radius[visible_hit_index]
         is_close = hidden_hits.distance - self.hits.distance[visible_hit_index] <= max_gap
-        hidden_surfaces = ExtendedFaces.from_hits(hidden_hits)
+        hidden_faces = _ExtendedFaces.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
             hit_index = visible_hit_index[hidden_index]
-            ray, inverse_t = self.trace_rays(hit_index)
-            hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
+            ray, inverse_t = self._trace_rays(hit_index)
+            hidden_inverse_t = hidden_faces.take(hidden_index).compute_inverse_t(ray)
             yield EdgeValues(
                 cell_index=self.cell_index[hit_index], values=inverse_t - hidden_inverse_t
             )
@@ -199,10 +215,10 @@ class CellSurfaces(NamedTuple):
         visible_hit_index: Shaped[Ints, "n"],
         is_close: Shaped[Bools, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield an edge for each visible surface and planar face that may meet.
+        """Yield edges where the visible surface of a cell may meet a planar face behind it.
 
-        The face belongs to an object behind the surface.  The ray through the centre of the cell
-        hits the object, but not necessarily this face.
+        The ray through the center of the cell hits the object that has the face.  It may hit
+        another face of this object, but other rays of the cell may meet the face.
 
         Parameters
         ----------
@@ -210,13 +226,13 @@ class CellSurfaces(NamedTuple):
             Index of the visible hit in front of each hidden hit, on the same ray from the eye.
         is_close
             Whether the two surfaces may meet near the hidden hit; ignored if the eye is inside the
-            object.
+            hidden object.
         """
         cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
         hidden_object = hidden_hits.hit_object
         hidden_distance = hidden_hits.distance
-        is_candidate = is_close | hidden_hits.scene.is_eye_inside[hidden_object]
         visible_distance = self.hits.distance
+        is_candidate = is_close | hidden_hits.scene.is_eye_inside[hidden_object]
         for group in hidden_hits.groups:
             if not group.shape.has_planar_faces:
                 continue
@@ -235,9 +251,9 @@ class CellSurfaces(NamedTuple):
                 )
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """Yield an edge for each cell that a crease may cross.
+        """Yield the edges between faces of one object that may be visible in a cell.
 
-        A crease is an edge between two visible faces of an object, one of which is hit.
+        One of the two faces is hit by the ray through the center of the cell.
         """
         for group in self.hits.groups:
             faces = group.shape.find_near_faces(
@@ -247,10 +263,12 @@ class CellSurfaces(NamedTuple):
                 self.hits.from_eye[:, group.interval],
                 self.footprint_radius[group.interval],
             )
+            hit_object = group.repeat_runs(group.run_object)
             for face_code, index_in_group in faces:
-                object_index = group.repeat_runs(group.run_object)[index_in_group]
                 hit_index = group.interval.start + index_in_group
-                yield from self._compare_with_face(group.shape, face_code, object_index, hit_index)
+                yield from self._compare_with_face(
+                    group.shape, face_code, hit_object[index_in_group], hit_index
+                )
 
     def _compare_with_face(
         self,
@@ -259,20 +277,19 @@ class CellSurfaces(NamedTuple):
         object_index: Shaped[Ints, "n"],
         hit_index: Shaped[Ints, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield the edge where each visible surface meets a face of an object.
+        """Yield the edges where the surface at each hit meets one face of an object.
 
-        The edge function is 1 / t1 - 1 / t2: the ray through a point of the cell meets the surface
-        at t1 * ray, and the face at t2 * ray.
+        `face_code` selects the face (see `Shape`); its object is given for each hit.
         """
         for batch in split_indices(np.arange(hit_index.size)):
-            ray, surface_inverse_t = self.trace_rays(hit_index[batch])
+            ray, surface_inverse_t = self._trace_rays(hit_index[batch])
             face_inverse_t = shape.compute_inverse_t(face_code, object_index[batch], ray)
             yield EdgeValues(
                 cell_index=self.cell_index[hit_index[batch]],
                 values=surface_inverse_t - face_inverse_t,
             )
 
-    def evaluate_shadow_edges(
+    def find_shadow_edges(
         self,
         light_position: Shaped[Floats, "lights 3"],
         edge_candidates: Shaped[Ints, "3 n"],
@@ -280,18 +297,18 @@ class CellSurfaces(NamedTuple):
         """Yield the edges of shadows that may cross cells.
 
         The lights are in scene axes.  Row 0 of `edge_candidates` contains light indices, row 1 hit
-        indices, and row 2 indices of occluders.
+        indices, and row 2 indices of objects that may block the light near the hit.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(light_position)
         for batch in split_indices(np.arange(edge_candidates.shape[1])):
             light_index, hit_index, occluder_index = edge_candidates[:, batch]
-            ray, inverse_t = self.trace_rays(hit_index)
+            ray, inverse_t = self._trace_rays(hit_index)
             # The vector from the light to the surface is t * ray - light.  Only its direction
             # matters, so it is divided by t.
             light_over_t = scale(take(light_from_eye, light_index), inverse_t)
             ray_from_light = map_xyz(np.subtract, ray, light_over_t)
-            yield from evaluate_silhouettes(
+            yield from _evaluate_silhouettes(
                 scene,
                 light_position,
                 ray_from_light,
@@ -306,10 +323,7 @@ class CellSurfaces(NamedTuple):
         light_height: Shaped[Floats, "lights hits"],
         squared_distance: Shaped[Floats, "lights hits"],
     ) -> Iterator[EdgeValues]:
-        """Yield an edge for each light and each cell that the light's terminator may cross.
-
-        A terminator is where a curved face turns away from a light.  Its edge function is the
-        cosine of the angle between the normal and the direction to the light.
+        """Yield the edges at which curved faces turn away from a light, if they may cross cells.
 
         Parameters
         ----------
@@ -336,7 +350,7 @@ class CellSurfaces(NamedTuple):
             for pair_index in split_indices(find(may_cross)):
                 light_index, index_in_group = np.divmod(pair_index, max_turn.size)
                 hit_index = group.interval.start + index_in_group
-                ray, inverse_t = self.trace_rays(hit_index)
+                ray, inverse_t = self._trace_rays(hit_index)
                 # The ray meets the surface at t * ray.  All vectors are divided by t.
                 normal = group.shape.compute_normals(hit_object[index_in_group], ray, inverse_t)
                 light_over_t = scale(take(light_from_eye, light_index), inverse_t)
@@ -344,3 +358,42 @@ class CellSurfaces(NamedTuple):
                 length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
                 cosine = dot(normal, to_light) / length_product
                 yield EdgeValues(cell_index=self.cell_index[hit_index], values=cosine)
+
+    def _trace_rays(
+        self, hit_index: Shaped[Ints, "k"]
+    ) -> tuple[Shaped[Triple, "#6 k"], Shaped[Floats, "6 k"]]:
+        """Compute the six rays of the cell of each hit, and 1 / t where they meet its surface.
+
+        The rays pass through the six points of the cell (see `compute_rays`).  The vector t * ray
+        leads from the eye to the face at the hit, which is extended beyond its rim.
+        """
+        frame = self.hits.scene.frame
+        x, y, z = take(self.hits.from_eye, hit_index)
+        depth_ratio = frame.depth / z
+        ray = compute_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
+        return ray, self.faces.take(hit_index).compute_inverse_t(ray)
+
+
+def _compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n"]:
+    """Compute the radius of the part of the surface that is visible in the cell of each hit.
+
+    The cells are `cell_width` pixels wide.  The radius is in the scene's unit of length.
+    """
+    cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
+    distance = hits.distance
+    footprint_radius = np.empty(distance.size)
+    for group in hits.groups:
+        cell_radius = hits.from_eye[2][group.interval] * cell_angle
+        cosine = group.expand_to_hits(group.planes.eye_height) / distance[group.interval]
+        footprint_radius[group.interval] = group.shape.compute_footprint_radii(
+            group.run_object, group.run_length, cell_radius, cosine, cell_angle
+        )
+    return footprint_radius
+
+
+def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
+    """Compute the angle, in radians, that half the diagonal of a cell subtends at the eye.
+
+    This is the angle of a cell straight ahead of the eye; those of all other cells are smaller.
+    """
+    return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth

@@ -1,14 +1,13 @@
-"""Lattices of samples: the points of a pixel through which rays are traced.
+"""Lattices: arrangements of the points in a pixel through which rays are traced.
 
 The edges of boxes often follow the rows or columns of an upright grid.  Then a small shift of an
 edge changes a whole row of samples, so the error is large.  In a rotated lattice, few points share
-a row or a column.  Yet all pixels can have the same lattice, so the samples of a picture lie in
-rows.
+a row or a column, and yet the samples of a picture lie in rows if all pixels have the same lattice.
 
 In a *rank-1 lattice*, each row contains one point, which lies a fixed number of columns to the
-right of the point in the row above, modulo the number of rows.  The lattices are chosen so that a
-quarter turn maps each lattice onto itself.  So the mean of a smooth function is as accurate as that
-of an upright grid.
+right of the point in the row above, modulo the number of rows.  The lattices of this module are
+those that a quarter turn maps onto themselves.  So they average a smooth function as accurately as
+an upright grid.
 
 Dammertz and Keller, Image synthesis by rank-1 lattices, Monte Carlo and Quasi-Monte Carlo Methods
 2006, 2008.
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
-# Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in units of
+# Points x + iy in a cell (a pixel or a square part of a pixel), relative to its center, in units of
 # the cell's width: x and y are between -1/2 and 1/2, and the y-axis points down.
 Points2D: TypeAlias = NDArray[np.complex128]
 
@@ -34,9 +33,9 @@ Points2D: TypeAlias = NDArray[np.complex128]
 # quarter turn maps the lattice onto itself.
 _COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
-# Number of points of a lattice that replaces an upright grid, divided by that of the grid.  For the
-# mean error of most pictures fewer points are enough, but not for the largest error, or for edges
-# parallel to lines of the lattice.
+# A lattice that replaces an upright grid has at least this many times as many points as the grid.
+# For the mean error of most pictures fewer points are enough, but not for the largest error, or for
+# edges parallel to lines of the lattice.
 _POINTS_PER_GRID_POINT = 2.5
 
 
@@ -53,15 +52,17 @@ class Lattice(NamedTuple):
 
     @classmethod
     def choose(cls, grid_side: int, min_ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Choose the smallest lattice with at least `min_ratio` points per point of a grid.
+        """Choose the smallest lattice that can replace an upright grid.
 
-        The grid has `grid_side` points along each side of the pixel; `min_ratio` is at most 5.  The
-        lattice has 13, 25 or 65 points, or consists of copies of a lattice of 5 points.
+        The grid has `grid_side` points along each side of the pixel.  The lattice has at least
+        `min_ratio` times as many points as the grid, where `min_ratio` is at most 5.  It has 13, 25
+        or 65 points, or consists of copies of a lattice of 5 points.
         """
-        repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
-        candidates = [*(cls(1, count) for count in (13, 25, 65)), *repeated_lattices]
-        candidates.sort(key=lambda lattice: lattice.size)
-        return next(lattice for lattice in candidates if lattice.size >= min_ratio * grid_side**2)
+        candidates = [cls(1, 13), cls(1, 25), cls(1, 65)]
+        candidates += [cls(columns, 5 * columns) for columns in range(1, grid_side + 1)]
+        min_size = min_ratio * grid_side**2
+        large_enough = [lattice for lattice in candidates if lattice.size >= min_size]
+        return min(large_enough, key=lambda lattice: lattice.size)
 
     @property
     def size(self) -> int:
@@ -71,18 +72,19 @@ class Lattice(NamedTuple):
     def place_in_pixels(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
-        Both slices have a start and a stop.  Every second row of pixels contains the mirror image
-        of the lattice.
+        Both slices must have a start and a stop.  Every second row of pixels contains the mirror
+        image of the lattice.
         """
         # Rows and columns of lattice points, numbered from the upper left corner of the picture.
-        column_count, row_count = self
-        row = np.arange(row_count * pixel_rows.start, row_count * pixel_rows.stop)
-        column = np.arange(column_count * pixel_columns.start, column_count * pixel_columns.stop)
+        row = np.arange(self.row_count * pixel_rows.start, self.row_count * pixel_rows.stop)
+        column = np.arange(
+            self.column_count * pixel_columns.start, self.column_count * pixel_columns.stop
+        )
         return Rows(
-            y=(row + 0.5) / row_count,
-            x=(column + 0.5) / column_count,
-            shift=self._compute_row_shift(row) / column_count,
-            per_pixel=(column_count, row_count),
+            y=(row + 0.5) / self.row_count,
+            x=(column + 0.5) / self.column_count,
+            shift=self._compute_row_shift(row) / self.column_count,
+            per_pixel=(self.column_count, self.row_count),
         )
 
     def list_points(self) -> Shaped[Points2D, "n"]:
@@ -95,7 +97,7 @@ class Lattice(NamedTuple):
     ) -> Shaped[Floats, "height width 3"]:
         """Average the radiance of the samples in each pixel of a rectangle, `width` pixels wide.
 
-        The samples are in the order of `place_in_pixels`.
+        The samples must be in the order in which `place_in_pixels` numbers them.
         """
         sample_radiance = radiance.reshape(3, -1, self.row_count, width, self.column_count)
         # Add row by row.  NumPy's order of summation along an axis depends on the width, so the
@@ -106,10 +108,10 @@ class Lattice(NamedTuple):
         return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
     def _compute_row_shift(self, sample_row: Shaped[Ints, "rows"]) -> Shaped[Floats, "rows"]:
-        """Compute how far to the right rows of sample points are shifted from an upright grid.
+        """Compute by how much each row of sample points is shifted to the right of an upright grid.
 
-        The rows are numbered from the top of the picture.  The unit of the shift, which is between
-        -1/2 and 1/2, is the distance between the columns of the grid.
+        The rows are numbered from the top of the picture.  The shift is between -1/2 and 1/2, in
+        units of the distance between two points in a row.
         """
         # The middle row of a rank-1 lattice is not shifted.
         point_count = self.row_count // self.column_count
@@ -120,5 +122,5 @@ class Lattice(NamedTuple):
         return np.where(is_mirrored, middle - column, column - middle) / point_count
 
 
-# One point in each pixel: the centre.
+# One point in each pixel: the center.
 PIXEL_CENTERS = Lattice(1, 1)

@@ -1,6 +1,6 @@
 """Antialiasing by adaptive subdivision (Whitted 1980): compute the mean radiance of each pixel.
 
-`classify_cells` traces the sample through the centre of each cell, and finds the edges that may
+`classify_cells` traces the sample through the center of each cell, and finds the edges that may
 cross the cell (see `classify`, which defines all terms).  These decide how the mean radiance of the
 cell is computed:
 
@@ -42,6 +42,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify_cells
+from tracer.antialias.edge_functions import Lines
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
 from tracer.antialias.silhouette_pixels import find_silhouette_pixels
@@ -120,10 +121,9 @@ def average_pixels(
     samples in each pixel; `grid_side` is at least 2.
     """
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
-    first_row = rows.start - 1
-    first_column = columns.start - 1
-    bordered_columns = slice(first_column, columns.stop + 1)
-    samples = PIXEL_CENTERS.place_in_pixels(slice(first_row, rows.stop + 1), bordered_columns)
+    samples = PIXEL_CENTERS.place_in_pixels(
+        slice(rows.start - 1, rows.stop + 1), slice(columns.start - 1, columns.stop + 1)
+    )
     height = samples.y.size
     width = samples.x.size
     pixel_index = np.arange(samples.size)
@@ -135,7 +135,7 @@ def average_pixels(
         tolerance=_TOLERANCE / grid_side**1.5,
         center_x=center_x,
         center_y=center_y,
-        pair_cell_index=(pairs.row - first_row) * width + pairs.column - first_column,
+        pair_cell_index=(pairs.row - rows.start + 1) * width + pairs.column - columns.start + 1,
         pair_object_index=pairs.object_index,
     )
     classification = classify_cells(scene, pixels, samples, pixel_index)
@@ -144,9 +144,10 @@ def average_pixels(
     is_refinable = is_inner & ~classification.is_crowded
     pixel_mean = _compute_cell_means(scene, classification, estimate, is_refinable)
     crowded_index = find(is_inner & classification.is_crowded)
-    lattice = Lattice.choose(grid_side, min_ratio=1)
-    crowded = _sample_cells(scene, classification, crowded_index, lattice)
-    pixel_mean[:, crowded_index] = crowded.mean
+    dense_lattice = Lattice.choose(grid_side, min_ratio=1)
+    pixel_mean[:, crowded_index] = _sample_cells(
+        scene, classification, crowded_index, dense_lattice
+    ).mean
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
@@ -159,8 +160,8 @@ def _compute_cell_means(
 ) -> Shaped[Floats, "3 cells"]:
     """Compute the mean radiance of cells; sample or divide those that edges may cross.
 
-    A cell without edges keeps its estimated mean if the estimated error is within the tolerance.
-    So do all cells that are not refinable.
+    A cell keeps its estimated mean if no edge may cross it and the estimated error is within the
+    tolerance.  So do all cells that are not refinable.
     """
     cells = classification.cells
     cell_mean = estimate.radiance.copy()
@@ -173,9 +174,9 @@ def _compute_cell_means(
     steps = _choose_steps(cells)
     if steps.first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classification.is_unresolved | is_inaccurate)
-        cell_index = find(is_pending if steps.includes_unresolved else has_only_lines)
-        sampled = _sample_cells(scene, classification, cell_index, steps.first_lattice)
-        finished_index = cell_index[~sampled.misses_edge]
+        first_index = find(is_pending if steps.includes_unresolved else has_only_lines)
+        sampled = _sample_cells(scene, classification, first_index, steps.first_lattice)
+        finished_index = first_index[~sampled.misses_edge]
         cell_mean[:, finished_index] = sampled.mean[:, ~sampled.misses_edge]
         is_pending[finished_index] = False
     pending_index = find(is_pending)
@@ -211,31 +212,42 @@ def _sample_cells(
     cell_index: Shaped[Ints, "n"],
     lattice: Lattice,
 ) -> _SampledCells:
-    """Estimate the mean radiance of cells (all different) from a lattice of samples in each.
+    """Estimate the mean radiance of the given cells from a lattice of samples in each.
 
     Lines divide a cell into regions, and the samples in a region are weighted by its area.
+    `cell_index` must be in ascending order, and must not contain duplicates.
     """
     cells = classification.cells
-    lines = classification.lines
     cell_count = cell_index.size
     cell_mean = np.empty((3, cell_count))
     misses_edge = np.zeros(cell_count, dtype=np.bool_)
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
-        index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
-        index_in_batch[cell_index[batch]] = np.arange(batch.size)
-        batch_lines = lines.take(find(index_in_batch[lines.cell_index] >= 0))
-        batch_lines = batch_lines._replace(cell_index=index_in_batch[batch_lines.cell_index])
+        batch_lines = _select_lines(classification, cell_index[batch])
         points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
         x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
         samples, order = Scattered.from_positions(x, y)
-        local_index = points.cell_index[order]
+        index_in_batch = points.cell_index[order]
         weight = points.weight[order]
         radiance, sample_id = compute_radiance_and_visibility(scene, samples)
-        for channel_mean, channel_radiance in zip(cell_mean, radiance, strict=True):
-            channel_mean[batch] = np.bincount(local_index, weight * channel_radiance, batch.size)
+        for channel in range(3):
+            weighted_radiance = weight * radiance[channel]
+            cell_mean[channel, batch] = np.bincount(index_in_batch, weighted_radiance, batch.size)
         mixed_index = find_samples_in_mixed_regions(points.region_index[order], sample_id)
-        misses_edge[batch[local_index[mixed_index]]] = True
+        misses_edge[batch[index_in_batch[mixed_index]]] = True
     return _SampledCells(mean=cell_mean, misses_edge=misses_edge)
+
+
+def _select_lines(classification: Classification, cell_index: Shaped[Ints, "n"]) -> Lines:
+    """Select the lines of the given cells; in the result, the cells are numbered from 0 to n - 1.
+
+    `cell_index` must be in ascending order, and must not contain duplicates.
+    """
+    lines = classification.lines
+    new_index = np.full(classification.cells.center_x.size, -1)  # of each cell; -1 if not selected
+    new_index[cell_index] = np.arange(cell_index.size)
+    line_cell_index = new_index[lines.cell_index]
+    selected = find(line_cell_index >= 0)
+    return lines.take(selected)._replace(cell_index=line_cell_index[selected])
 
 
 def _divide_and_average(
@@ -244,9 +256,10 @@ def _divide_and_average(
     error: Shaped[Floats, "cells"],
     cell_index: Shaped[Ints, "n"],
 ) -> Shaped[Floats, "3 n"]:
-    """Divide cells (all different) into quarters, and average the means of the quarters of each.
+    """Divide the given cells into quarters, and average the mean radiance of each cell's quarters.
 
-    `error` is the estimated error of each cell's mean radiance, as in `SmoothMeans`.
+    `cell_index` must not contain duplicates.  `error` is the estimated error of each cell's mean
+    radiance; NaN if it is unknown.
     """
     quarters = classification.cells.divide(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)

@@ -1,6 +1,6 @@
-"""Divide cells by straight lines into regions, and weight the points that represent each region.
+"""Divide cells by straight lines into regions, and weight points to represent the regions.
 
-A cell is a pixel or a square part of a pixel.  Points are spread evenly over it.  The weights of
+A *cell* is a pixel or a square part of a pixel.  Points are spread evenly over it.  The weights of
 the points in a region add up to the exact area of the region (post-stratification: Cochran,
 Sampling Techniques, 1977, ch. 5A), and the weighted mean of the points is the centroid of the
 region.  So the weighted mean of a function that is linear in each region is exact.
@@ -8,12 +8,14 @@ region.  So the weighted mean of a function that is linear in each region is exa
 Each line is extended across the whole cell.  If the edge that it represents ends within the cell,
 then one region is divided into two, which does no harm.
 
-A point x + iy is relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
-cell's width, and y pointing down, as in `Lines`; areas are fractions of the cell's area.  The lines
-of all cells are sorted by cell, so that those of cell i have the indices line_start[i] to
-line_start[i + 1] - 1.  A region has one index among the regions of all cells: bit k is 1 on the
-positive side of line k of its cell, and the bits from `max_lines` on are the index of the cell,
-where `max_lines` is the maximum number of lines in a cell, at most `MAX_LINES` of `classify`.
+A point is a complex number x + iy, relative to the center of its cell, with x and y between -1/2
+and 1/2 of the cell's width, and y pointing down.  Areas are fractions of the cell's area.
+
+The lines of all cells are sorted by cell, so that those of cell i have the indices line_start[i] to
+line_start[i + 1] - 1.  Regions are numbered over all cells.  In the binary digits of a region's
+index, bit k is 1 if the region is on the positive side of line k of its cell.  The bits from
+`max_lines` on are the index of the cell, where `max_lines` is the maximum number of lines in a
+cell.  It is at most `MAX_LINES` of `classify`, so indices stay small.
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ class WeightedPoints(NamedTuple):
 
     cell_index: Shaped[Ints, "n"]
     position: Shaped[Points2D, "n"]
-    # Weight in the mean over the cell.  The weights in a region add up to its area.  A few are
-    # negative, where the centroid of the region is far from the mean of its points.
+    # Weight in the mean over the cell.  The weights in a region add up to its area.  Weights may be
+    # negative if the centroid of the region is far from the mean of its points.
     weight: Shaped[Floats, "n"]
     region_index: Shaped[Ints, "n"]
 
@@ -53,26 +55,22 @@ def place_weighted_points(
 ) -> WeightedPoints:
     """Place the same points in every cell, and weight them to represent the regions between lines.
 
-    For regions with too few points, the centroids of triangles that cover these regions are added
-    at the end, after the points of the last cell.
+    The lines must be sorted by cell.  The result contains the points of one cell after the other.
+    At its end, the centroids of triangles are added, which cover the regions with too few points.
     """
-    cell_index = np.arange(cell_count)
     line_start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
-    # The index of a region has one bit for each line of its cell: 1 on the line's positive side.
-    position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
-    region_index = np.repeat(cell_index[None] << max_lines, points.size, axis=0)
+    position: Points2D = np.tile(points, cell_count)
+    region_index = _find_regions(lines, line_start, max_lines, points)
+    triangles = _Triangles.from_cells(cell_count, max_lines)
     for line_number in range(max_lines):
-        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, position)
-        region_index[:, column_index] |= (values > 0) << line_number
-    position = position.T.ravel()
-    region_index = region_index.T.ravel()
-    centroids = _divide_into_triangles(lines, line_start, max_lines)
+        triangles = triangles.divide(lines, line_start, line_number)
+    centroids = triangles.compute_centroids()
     region_count = cell_count << max_lines
     weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
     added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
     placed_points = WeightedPoints(
-        cell_index=cell_index.repeat(points.size),
+        cell_index=np.arange(cell_count).repeat(points.size),
         position=position,
         weight=weight,
         region_index=region_index,
@@ -84,13 +82,29 @@ def place_weighted_points(
 def find_samples_in_mixed_regions(
     region_index: Shaped[Ints, "n"], sample_id: Shaped[Ints, "n"]
 ) -> Shaped[Ints, "k"]:
-    """Find at least one sample in each region where the ids of samples differ.
+    """Find at least one sample in each region whose samples have different ids.
 
-    Different ids (see `classify`) in a region reveal an edge that no line represents.
+    Different ids show that an edge crosses the region which no line represents.
     """
     reference_id = np.empty(int(region_index.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region_index] = sample_id  # the id of an arbitrary sample in the region
     return find(reference_id[region_index] != sample_id)
+
+
+def _find_regions(
+    lines: Lines,
+    line_start: Shaped[Ints, "cells+1"],
+    max_lines: int,
+    points: Shaped[Points2D, "m"],
+) -> Shaped[Ints, "n"]:
+    """Find the index of the region in which each of the points lies, cell by cell."""
+    cell_index = np.arange(line_start.size - 1)
+    position: Points2D = np.repeat(points[:, None], cell_index.size, axis=1)
+    region_index = np.repeat(cell_index[None] << max_lines, points.size, axis=0)
+    for line_number in range(max_lines):
+        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, position)
+        region_index[:, column_index] |= (values > 0) << line_number
+    return region_index.T.ravel()
 
 
 def _evaluate_lines(
@@ -102,8 +116,9 @@ def _evaluate_lines(
 ) -> tuple[Shaped[Ints, "k"], Shaped[Floats, "m k"]]:
     """Evaluate one line of each cell, c + a x + b y, at m points in each of n columns.
 
-    `line_number` counts the lines of a cell from 0.  Columns whose cell does not have this line are
-    skipped; the first result contains the indices of the others.
+    The points of column i are in the cell cell_index[i].  `line_number` counts the lines of a cell
+    from 0.  The first result is the indices of those columns whose cell has this line, and the
+    second the values in these columns.
     """
     line_index = line_start[cell_index] + line_number
     column_index = find(line_index < line_start[cell_index + 1])
@@ -112,19 +127,33 @@ def _evaluate_lines(
     return column_index, line.a * point.real + line.b * point.imag + line.c
 
 
-def _divide_into_triangles(
-    lines: Lines, line_start: Shaped[Ints, "cells+1"], max_lines: int
-) -> WeightedPoints:
-    """Divide cells into triangles that no line crosses; return centroids weighted by area.
+class _Triangles(NamedTuple):
+    """Triangles that together cover all cells."""
 
-    A diagonal divides the cell into two triangles.  Then each line of the cell divides every
-    triangle that it crosses into three.
-    """
-    cell_index = np.arange(line_start.size - 1).repeat(2)
-    region_index = cell_index << max_lines
-    square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
-    corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
-    for line_number in range(max_lines):
+    corners: Shaped[Points2D, "3 n"]
+    cell_index: Shaped[Ints, "n"]
+    region_index: Shaped[Ints, "n"]  # valid if no line crosses the triangle
+
+    @classmethod
+    def from_cells(cls, cell_count: int, max_lines: int) -> _Triangles:
+        """Divide each cell into two triangles, on the negative side of all its lines."""
+        square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+        cell_index = np.arange(cell_count).repeat(2)
+        return cls(
+            corners=np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], cell_count),
+            cell_index=cell_index,
+            region_index=cell_index << max_lines,
+        )
+
+    def divide(
+        self, lines: Lines, line_start: Shaped[Ints, "cells+1"], line_number: int
+    ) -> _Triangles:
+        """Divide each triangle that one line of its cell crosses into three.
+
+        `line_number` counts the lines of a cell from 0.  The bit of this line is set in the index
+        of each region.  The arrays of this object are changed.
+        """
+        corners, cell_index, region_index = self
         column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
@@ -140,40 +169,44 @@ def _divide_into_triangles(
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
-        # The first part replaces the divided triangle; the others are appended.
+        # The first part replaces the divided triangle, and two others are appended.
         corners[:, parent_index] = a, on_ab, on_ac
-        corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
-        parent_region_index = region_index[parent_index]
-        region_index[parent_index] = parent_region_index | (is_a_positive << line_number)
-        new_region_index = parent_region_index | (~is_a_positive << line_number)
-        region_index = np.concatenate([region_index, new_region_index, new_region_index])
-        parent_cell_index = cell_index[parent_index]
-        cell_index = np.concatenate([cell_index, parent_cell_index, parent_cell_index])
-    side_ab = corners[1] - corners[0]
-    side_ac = corners[2] - corners[0]
-    # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
-    area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
-    return WeightedPoints(
-        cell_index=cell_index,
-        position=corners.sum(axis=0) / 3,
-        weight=area,
-        region_index=region_index,
-    )
+        parent_region = region_index[parent_index]
+        region_index[parent_index] = parent_region | (is_a_positive << line_number)
+        new_region = parent_region | (~is_a_positive << line_number)
+        new_cell = cell_index[parent_index]
+        return _Triangles(
+            corners=np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1),
+            cell_index=np.concatenate([cell_index, new_cell, new_cell]),
+            region_index=np.concatenate([region_index, new_region, new_region]),
+        )
+
+    def compute_centroids(self) -> WeightedPoints:
+        """Compute the centroid of each triangle, weighted by the area of the triangle."""
+        side_ab = self.corners[1] - self.corners[0]
+        side_ac = self.corners[2] - self.corners[0]
+        # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
+        area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
+        return WeightedPoints(
+            cell_index=self.cell_index,
+            position=self.corners.sum(axis=0) / 3,
+            weight=area,
+            region_index=self.region_index,
+        )
 
 
 def _sum_by_region(
     region_index: Shaped[Ints, "n"], values: Shaped[Floats, "n"], region_count: int
 ) -> Shaped[Floats, "region_count"]:
-    """Sum the values in each region."""
     # Convert the result: NumPy returns integers if there are no values.
     return np.bincount(region_index, values, region_count).astype(float, copy=False)
 
 
 class _PointMoments(NamedTuple):
-    """Statistics of the points in each region; the mean is (0, 0) if there are none."""
+    """Number, mean and covariance of the points in each region."""
 
     point_count: Shaped[Ints, "regions"]  # at least 1, also for regions without points
-    mean_x: Shaped[Floats, "regions"]
+    mean_x: Shaped[Floats, "regions"]  # 0 in regions without points
     mean_y: Shaped[Floats, "regions"]
     # The covariance matrix, and its determinant.
     cov_xx: Shaped[Floats, "regions"]
@@ -185,12 +218,10 @@ class _PointMoments(NamedTuple):
 def _compute_moments(
     position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"], region_count: int
 ) -> _PointMoments:
-    """Compute the mean and the covariance of the points in each region."""
-
     def average(values: Shaped[Floats, "n"]) -> Shaped[Floats, "region_count"]:
-        return _sum_by_region(region_index, values, region_count) / count
+        return _sum_by_region(region_index, values, region_count) / point_count
 
-    count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
+    point_count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
     mean_x = average(position.real)
     mean_y = average(position.imag)
     x = position.real - mean_x[region_index]
@@ -199,7 +230,7 @@ def _compute_moments(
     cov_xy = average(x * y)
     cov_yy = average(y * y)
     return _PointMoments(
-        point_count=count,
+        point_count=point_count,
         mean_x=mean_x,
         mean_y=mean_y,
         cov_xx=cov_xx,
@@ -215,10 +246,11 @@ def _compute_weights(
     centroids: WeightedPoints,
     region_count: int,
 ) -> tuple[Shaped[Floats, "n"], Shaped[Bools, "region_count"]]:
-    """Compute weights for points, to average functions that are linear in each region.
+    """Compute the weight of each point, and whether points represent each region.
 
-    The second result tells whether a region is represented: it contains at least three points, and
-    they do not lie almost on a straight line.  Points in other regions have the weight 0.
+    A region is represented if it contains at least three points that do not lie almost on a
+    straight line.  The points of a region that is not represented have the weight 0.  `centroids`
+    are those of triangles that cover each region exactly, weighted by area.
     """
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # the number of points.  With the weights w (1 + t . (point - mean)), the weighted mean of the

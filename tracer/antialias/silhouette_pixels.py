@@ -13,7 +13,7 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints, enumerate_ranges
 from tracer.geometry.shape import Shape
-from tracer.trace.samples import find_object_spans
+from tracer.trace.samples import ObjectSpans, find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
 
@@ -28,14 +28,12 @@ class PixelObjects(NamedTuple):
 def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) -> PixelObjects:
     """Find the pixels of a rectangle that the silhouette of each object may cross.
 
-    Objects are convex, so one that covers the top and bottom edges of a pixel covers the whole
-    pixel.  All other pixels that it overlaps may contain part of its silhouette.
+    Objects are convex, so an object covers a pixel entirely if it covers the upper and the lower
+    edge of the pixel.  All other pixels that it overlaps are found.
     """
-    interval_sets = [
-        intervals
-        for shape in scene.shapes
-        for intervals in _find_partly_covered(shape, scene, rows, columns)
-    ]
+    interval_sets = list[_PixelIntervals]()
+    for shape in scene.shapes:
+        interval_sets += _find_partly_covered(shape, scene, rows, columns)
     intervals = _PixelIntervals._make(map(np.concatenate, zip(*interval_sets, strict=True)))
     start_column = intervals.start.clip(columns.start, columns.stop).astype(np.intp)
     stop_column = intervals.stop.clip(columns.start, columns.stop).astype(np.intp)
@@ -50,7 +48,7 @@ def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) ->
 class _PixelIntervals(NamedTuple):
     """Ranges of pixels in a row, each paired with an object; they may be empty."""
 
-    row: Shaped[Ints, "n"]  # index among the given rows
+    row: Shaped[Ints, "n"]  # from 0 at the top of the rectangle
     object_index: Shaped[Ints, "n"]
     # The first column, and the column after the last one; they may be outside the picture.
     start: Shaped[Floats, "n"]
@@ -60,35 +58,54 @@ class _PixelIntervals(NamedTuple):
 def _find_partly_covered(
     shape: Shape, scene: PreparedScene, rows: slice, columns: slice
 ) -> tuple[_PixelIntervals, _PixelIntervals]:
-    """Find the pixels of each row that objects cover in part: the left ones, and the right ones."""
-    row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
-    column_limits = (columns.start, columns.stop)
-    spans = find_object_spans(shape, scene, row_edge_y[:-1], column_limits, height=1.0)
+    """Find the pixels of each row that an object of one shape covers in part.
+
+    In each row, the object may cover some pixels entirely.  The first result contains the pixels to
+    the left of these, or all pixels if there are none.  The second contains those to the right.
+    """
+    row_top = np.arange(rows.start, rows.stop, dtype=np.float64)
+    spans = find_object_spans(shape, scene, row_top, (columns.start, columns.stop), height=1.0)
+    overlap_start = np.floor(spans.left)
+    overlap_stop = np.floor(spans.right) + 1
+    covered = _find_covered_parts(shape, scene, spans, row_top[spans.row])
+    # Shrink the covered parts to whole pixels.
+    covered_start = np.ceil(covered.left).clip(overlap_start, overlap_stop)
+    covered_stop = np.floor(covered.right).clip(covered_start, overlap_stop)
+    left_pixels = _PixelIntervals(
+        row=spans.row,
+        object_index=spans.object_index,
+        start=overlap_start,
+        stop=covered_start,
+    )
+    return left_pixels, left_pixels._replace(start=covered_stop, stop=overlap_stop)
+
+
+class _CoveredParts(NamedTuple):
+    """The part of each row, from its upper to its lower edge, that an object covers.
+
+    If there is none, `left` is infinite, and `right` is minus infinity.
+    """
+
+    left: Shaped[Floats, "n"]
+    right: Shaped[Floats, "n"]
+
+
+def _find_covered_parts(
+    shape: Shape, scene: PreparedScene, spans: ObjectSpans, top: Shaped[Floats, "n"]
+) -> _CoveredParts:
+    """Find the part of a row that the object of each span covers; `top` is the row's upper edge."""
     object_index = spans.object_index
-    # Find the x coordinates at which the object covers the top and bottom edges of the row.
+    bottom = top + 1
     covered_left = spans.left
     covered_right = spans.right
-    top_y = row_edge_y[spans.row]
-    bottom_y = row_edge_y[spans.row + 1]
-    for y in (top_y, bottom_y):
+    for y in (top, bottom):
         left_on_edge, right_on_edge = shape.find_x_range(object_index, y, 0.0)
         covered_left = np.maximum(covered_left, left_on_edge)
         covered_right = np.minimum(covered_right, right_on_edge)
     bounds = scene.bounds
-    covers_row = (bounds.top[object_index] < top_y) & (bounds.bottom[object_index] > bottom_y)
+    covers_row = (bounds.top[object_index] < top) & (bounds.bottom[object_index] > bottom)
     covers_row &= covered_left < covered_right
-    overlap_start = np.floor(spans.left)
-    overlap_stop = np.floor(spans.right) + 1
-    # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
-    covered_start = np.where(covers_row, np.ceil(covered_left), overlap_stop)
-    covered_stop = np.where(covers_row, np.floor(covered_right), overlap_stop)
-    covered_start = covered_start.clip(overlap_start, overlap_stop)
-    covered_stop = covered_stop.clip(covered_start, overlap_stop)
-    return (
-        _PixelIntervals(
-            row=spans.row, object_index=object_index, start=overlap_start, stop=covered_start
-        ),
-        _PixelIntervals(
-            row=spans.row, object_index=object_index, start=covered_stop, stop=overlap_stop
-        ),
+    return _CoveredParts(
+        left=np.where(covers_row, covered_left, np.inf),
+        right=np.where(covers_row, covered_right, -np.inf),
     )

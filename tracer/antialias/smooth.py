@@ -1,9 +1,10 @@
 """Estimate the mean radiance of smooth cells from their center samples.
 
-See `classify` for the terms.  No edge crosses a smooth cell, so its mean radiance is the radiance
-at its centre plus a correction for the curvature of the radiance.  Differences between the samples
-of neighbouring cells give the correction, and an estimate of the remaining error.  Only samples
-with the same id are compared.
+A cell (a pixel or a square part of a pixel) is *smooth* if no edge crosses it.  Its mean radiance
+is that of its *center sample*, plus a correction for the curvature of the radiance.  Differences
+between the samples of neighbouring cells give the correction, and an estimate of the remaining
+error.  Only samples with the same *id* are compared: their rays hit the same face of the same
+object, and the same lights are visible from both hits.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from tracer.arrays import Floats, Ints
 
 
 class CenterSamples(NamedTuple):
-    """The center samples of n cells."""
+    """The radiance and the id at the centers of n cells."""
 
     radiance: Shaped[Floats, "3 n"]  # linear RGB
     id: Shaped[Ints, "n"]  # -1 for the background
@@ -27,7 +28,7 @@ class CenterSamples(NamedTuple):
 
 
 class SmoothMeans(NamedTuple):
-    """Mean radiance of n cells, valid for those that no edge crosses."""
+    """Estimated mean radiance of n cells, valid for those that no edge crosses."""
 
     radiance: Shaped[Floats, "3 n"]  # linear RGB
     # Estimated error of `radiance` in the channel where it is largest; NaN if too few neighbouring
@@ -36,12 +37,13 @@ class SmoothMeans(NamedTuple):
 
 
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
-    """Estimate the mean radiance of pixels in a rectangle, `width` pixels wide, row by row.
+    """Estimate the mean radiance of the pixels of a rectangle, which is `width` pixels wide.
 
-    Over a pixel, the mean of a smooth function is about the value at the centre plus 1/24 of the
-    sum of the second derivatives along x and y.  Differences between neighbouring pixels
-    approximate these derivatives.  The error is NaN if neither neighbour in the row, or neither
-    neighbour in the column, has the same id.  Results at the border are meaningless.
+    The samples, and the results, are in rows from left to right.  Over a pixel, the mean of a
+    smooth function is about the value at the center plus 1/24 of the sum of the second derivatives
+    along x and y.  Differences between neighbouring pixels approximate these derivatives.  The
+    error of a pixel is NaN if neither of its neighbours in the row, or neither in the column, has
+    the id of the pixel.  Results at the border of the rectangle are meaningless.
     """
     radiance = pixel_samples.radiance
     pixel_id = pixel_samples.id
@@ -68,16 +70,18 @@ def estimate_quarter_means(
     quarter_samples: CenterSamples,
     tolerance: float,
 ) -> SmoothMeans:
-    """Estimate the mean radiance of the quarters of cells: four of each cell, cell by cell.
+    """Estimate the mean radiance of the quarters of cells by Richardson extrapolation.
 
-    This is Richardson extrapolation: subtract the sample of the cell from the mean of the four
-    quarter samples, and add a third of the difference to each quarter sample.  It is done only if
-    all five samples have the same id.
+    The sample of the cell is subtracted from the mean of the samples of its four quarters, and a
+    third of the difference is added to each of the four.  This is done only if all five samples
+    have the same id.
 
     Parameters
     ----------
     error
-        Estimated error of each cell's mean radiance, as in `SmoothMeans`.
+        Estimated error of each cell's mean radiance; NaN if it is unknown.
+    quarter_samples
+        Four samples of each cell, cell by cell.
     tolerance
         Maximum error of the mean radiance of a cell.
     """
@@ -91,7 +95,7 @@ def estimate_quarter_means(
     # Halving the width of a cell divides its error by 4.  But near an edge, which different ids
     # suggest, the error may decrease more slowly.
     inherited_error = error.repeat(4) / np.where(np.isnan(quarter_error), 2, 4)
-    # Ignore a small error of the cell if the quarter shows a different surface.
+    # A small error of the cell says nothing about a quarter that shows a different surface.
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
     inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan
     return SmoothMeans(

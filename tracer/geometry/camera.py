@@ -28,7 +28,7 @@ class CameraFrame(NamedTuple):
     eye: Shaped[Floats, "3"]  # in scene axes
     # Unit vectors to the right (row 0), down (row 1) and ahead (row 2), in scene axes.
     axes: Shaped[Floats, "3 3"]
-    # Components to the right, down and ahead of the vector from the eye to the window's centre.
+    # Components to the right, down and ahead of the vector from the eye to the window's center.
     center_right: float
     center_down: float
     depth: float  # positive

@@ -1,13 +1,14 @@
 """Numbering of objects.
 
-An object has up to four numbers:
+An object has up to four numbers, all from 0:
 
 - `object_index`, everywhere in the tracer: its row in the arrays of `Surfaces`.  They contain one
   kind of surface after the other, in the order of `Surfaces.tables`.
 - `sphere_index`, `box_index`: its row among the objects of its kind.  Only the modules of shapes
   use this number, because their arrays contain one kind only; `ObjectRange` converts to it.
-- `file_index`: its place in the scene file, which decides ties.  `Surfaces` as a sequence, and all
-  that users see, has this order.
+- `file_index`: its place in the scene file.  Of several surfaces at the same distance, the one with
+  the smallest `file_index` is visible.  `Surfaces` as a sequence, and all that users see, has this
+  order.
 - `shader_index`: its shader, which several objects may share.
 """
 
@@ -48,6 +49,7 @@ class ObjectRange(NamedTuple):
 
 
 def get_object_range(surfaces: Surfaces, kind: Kind) -> ObjectRange:
+    """Compute the range of all objects of one kind; it is empty if the scene has none."""
     kinds = list(surfaces.counts)
     earlier_kinds = kinds[: kinds.index(kind)]
     start = sum(surfaces.counts[earlier_kind] for earlier_kind in earlier_kinds)

@@ -6,7 +6,7 @@ most e / 2.  There are three kinds of bounds, and all of them are here:
 1. Bounds that decide whether a point is on a surface (`..._TOLERANCE`) are as small as the rounding
    errors of the point allow, because a larger bound would treat distinct surfaces as one.
 2. Bounds that only enlarge a search (`..._ROUNDING`) are generous, because an exact test follows
-   the search.  Each is given with the rounding error that it exceeds.
+   the search.  The comment of each names the rounding error that it exceeds.
 3. Bounds below which a number consists of rounding errors (`MIN_...`), so that another formula is
    needed.
 """
@@ -58,7 +58,7 @@ POSITION_ROUNDING = 1e-9
 
 # If the power |c|^2 - r^2 of the eye with respect to a sphere is less than this fraction of |c|^2,
 # then it consists mostly of rounding errors, which are 4 e = 9e-16.  Here c is the vector from the
-# eye to the sphere's centre, and r is the radius.  The directions of tangents depend on the square
+# eye to the sphere's center, and r is the radius.  The directions of tangents depend on the square
 # root of the power, whose relative error is larger still.
 MIN_POWER = 1e-14
 
@@ -68,7 +68,7 @@ MIN_HALF_SQUARE = 1e-3
 
 # If |l + v|^2 is less than this, with unit vectors l and v, then it consists of rounding errors:
 # those of its components are at most 2 e, so that |l + v|^2 = 1e-24 is known to two in 1,000.
-MIN_SUM_LENGTH2 = 1e-24
+MIN_SQUARED_SUM = 1e-24
 
 # Maximum factor by which a power may amplify the rounding error of its base, which is 4 e in a
 # highlight: the power is then known to 1,024 e = 2.3e-13.
@@ -89,8 +89,8 @@ def determine_side(
 ) -> Shaped[Sides, "... n"]:
     """Determine whether points are `OUTSIDE`, `ON` or `INSIDE` surfaces.
 
-    Pass the signed distances of the points, negative inside.  Points count as on the surface if
-    they are at most `tolerance` away from it.
+    The distances from the surfaces are negative inside.  Points count as on the surface if they are
+    at most `tolerance` away from it.
     """
     return (distance > tolerance).view(np.int8) - (distance < -tolerance).view(np.int8)
 
@@ -101,7 +101,8 @@ def compute_hit_tolerance(
     """Compute how far each hit may be from a surface and still count as on it.
 
     The rounding error of a hit grows with its distance from the eye, and with the coordinates of
-    the surface (see `Shape.coordinate_bound`).  Positions are in scene axes.
+    the surface.  `coordinate_bound` is an upper bound on |x| + |y| + |z| of the points of each
+    surface.  Positions are in scene axes.
     """
     eye_to_hit = map_xyz(np.subtract, hit, (eye[0], eye[1], eye[2]))
     return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_bound)

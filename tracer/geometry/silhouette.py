@@ -2,7 +2,7 @@
 
 An *edge function* is a smooth function of a ray from the viewpoint that is zero on the silhouette.
 To find the edges that may cross a cell of the picture (a pixel, or a square part of a pixel), edge
-functions are evaluated for six rays, through six *points of the cell*: the centre; the centres of
+functions are evaluated for six rays, through six *points of the cell*: the center; the centers of
 the right, left, lower and upper sides; and the lower right corner.
 """
 
@@ -20,16 +20,22 @@ def find_edge_planes(
 ) -> Shaped[Triple, "6 n"]:
     """Compute the normals of planes through a viewpoint and the silhouette edges of boxes.
 
-    The silhouette of a box contains at most two edges parallel to each axis: planes 2 k and
-    2 k + 1 belong to axis k.  The normal is 0 if there is no such edge; otherwise it points towards
-    the box.  The corners of the boxes are relative to the viewpoint, and all vectors are in scene
-    axes.
+    The silhouette of a box contains at most two edges parallel to each axis.  The planes of axis k
+    have the indices 2 k and 2 k + 1.  Their normals point towards the box, and are 0 where there is
+    no edge.
+
+    Parameters
+    ----------
+    low, high
+        Corners of the boxes with the smallest and the largest coordinates, relative to the
+        viewpoint, in scene axes.
     """
     # For each axis: 1 if the box lies above the viewpoint, -1 if it lies below, and otherwise 0.
     box_side = (low > 0).astype(np.int8) - (high < 0)
     normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
+        u = (axis + 1) % 3
+        v = (axis + 2) % 3
         # Seen along the axis, the box is a rectangle with the axes u and v.  Its first and last
         # corners, in counterclockwise order around the viewpoint, are silhouette edges.  The first
         # corner is computed as the last corner of the mirror image.
@@ -49,10 +55,11 @@ def find_edge_planes(
 def evaluate_box_edges(
     normals: Shaped[Triple, "6 n"], ray: Shaped[Triple, "#m n"]
 ) -> Shaped[Floats, "m 6 n"]:
-    """Evaluate the edge functions of boxes for rays from a viewpoint.
+    """Evaluate the edge functions of boxes for m rays from a viewpoint to each of n boxes.
 
-    The value is the dot product of the ray and the normal of a plane from `find_edge_planes`, in
-    the same axes.  It is positive on the box's side of the plane.
+    An edge function is the dot product of the ray and the normal of one of the six planes from
+    `find_edge_planes`.  It is positive on the box's side of the plane.  Rays and normals must be in
+    the same axes.
     """
     return np.array([dot(normal, ray) for normal in zip(*normals, strict=True)]).swapaxes(0, 1)
 
@@ -60,11 +67,11 @@ def evaluate_box_edges(
 def compute_miss_angles(
     ray: Shaped[Triple, "#m n"], center: Shaped[Triple, "n"], radius: Shaped[Floats, "n"]
 ) -> Shaped[Floats, "m n"]:
-    """Compute the angles, in radians, by which rays from a viewpoint miss spheres.
+    """Compute the angles, in radians, by which m rays from a viewpoint miss each of n spheres.
 
-    The angle is an edge function: it is zero where a ray touches the sphere, and negative where it
-    meets the sphere.  It is NaN if the viewpoint is inside the sphere.  The centres are relative to
-    the viewpoint.
+    The angle is an edge function of the sphere, because it is 0 if the ray touches the sphere.  It
+    is negative if the ray meets the sphere, and NaN if the viewpoint is inside the sphere.  The
+    centers are relative to the viewpoint.
     """
     cross_product = cross(center, ray)
     distance = np.sqrt(dot(center, center))
@@ -75,11 +82,12 @@ def compute_miss_angles(
 
 
 def bound_variation(values: Shaped[Floats, "6 ..."]) -> Shaped[Floats, "..."]:
-    """Bound how much edge functions differ, in a cell, from their values at the centre.
+    """Bound how much edge functions differ, anywhere in a cell, from their values at the center.
 
-    The bound applies to the quadratic polynomials through the values at the six points of the cell.
-    With x and y from -1 to 1 across the cell, such a polynomial differs from its value at the
-    centre by a x + b y + c x^2 + d y^2 + e x y, so by at most |a| + |b| + |c| + |d| + |e|.
+    Each function is replaced by the quadratic polynomial through its values at six points of the
+    cell: the center; the centers of the right, left, lower and upper sides; and the lower right
+    corner.  With x and y from -1 to 1 across the cell, the polynomial differs from its value at the
+    center by a x + b y + c x^2 + d y^2 + e x y, so by at most |a| + |b| + |c| + |d| + |e|.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)

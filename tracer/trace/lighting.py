@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, find, map_xyz, scale, take
-from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_SQUARE, MIN_SUM_LENGTH2
+from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_SQUARE, MIN_SQUARED_SUM
 from tracer.geometry.shape import NO_AXIS
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
@@ -120,7 +120,7 @@ def _compute_accurate_highlight(
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * log_cosine))
     # If the directions are opposite, their sum consists of rounding errors.  Both then lie in the
     # tangent plane, because neither the light nor the eye is behind it.
-    return np.where(squared_length > MIN_SUM_LENGTH2, strength, 0.0)
+    return np.where(squared_length > MIN_SQUARED_SUM, strength, 0.0)
 
 
 class Shading:
