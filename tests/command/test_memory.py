@@ -11,7 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probe import scene_of
-from running import SCENE, file_names, peak_memory, run, write_ball
+from running import (
+    SCENE,
+    file_names,
+    needs_processes,
+    needs_two,
+    peak_memory,
+    run,
+    write_ball,
+)
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 from tracer.world.prepared_scene import PreparedScene
@@ -96,6 +104,33 @@ def test_a_lack_of_memory_for_numpy_is_reported(tmp_path, megabytes):
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert re.match(r"the command cannot start: [^;]*[.]so[^;]*; give it more memory, or", err)
     assert file_names(tmp_path) == []
+
+
+@needs_two
+@needs_processes
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
+def test_a_command_with_workers_takes_little_more_address_space(tmp_path):
+    """Otherwise a limit on it would end the command where one process suffices."""
+    scene = write_ball(tmp_path / "ball.xml", 800, 600)
+    script = """if True:
+        import re, sys
+        from pathlib import Path
+        from tracer.command import batch, cli
+        batch.PROCESSES = batch.PROCESSES._replace(min_seconds=0)
+        cli.main(sys.argv[1:])
+        has_workers = "concurrent.futures.process" in sys.modules
+        status = Path("/proc/self/status").read_text()
+        print(re.search("VmPeak:[ \\t]*([0-9]*) kB", status)[1], has_workers)
+    """
+
+    def run_with(process_count: int) -> list[str]:
+        return run(scene, "--quiet", "--processes", process_count, python=("-c", script))[1].split()
+
+    (peak_alone, has_workers_alone), (peak, has_workers) = run_with(1), run_with(2)
+    assert (has_workers_alone, has_workers) == ("False", "True")
+    # It takes 2.5 MB more; with stacks of the usual size, 9.6 MB, and with a heap for each thread,
+    # 140 MB or more.
+    assert int(peak) - int(peak_alone) < 6_000
 
 
 def test_an_exr_file_needs_twelve_bytes_of_memory_a_pixel(tmp_path):

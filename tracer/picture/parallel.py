@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from tracer.children import end_children
 from tracer.files import remove_part_files
+from tracer.picture.memory import limit_thread_memory
 
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
@@ -315,6 +316,7 @@ class WorkerPool:
         from concurrent.futures import ProcessPoolExecutor
 
         _silence_pools()
+        limit_thread_memory()
         # Forking is not safe while other threads run, because they may hold locks.
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
         return ProcessPoolExecutor(
