@@ -1,4 +1,4 @@
-"""Parse the arguments that several commands have in common: file names, numbers, result paths."""
+"""Parse the arguments that several commands have in common: paths, numbers, and the option -o."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print an error about wrong usage, and end the process with exit status 2.
 
-        A suggested fix is added if an option is misspelt, or an argument begins with "-".
+        A suggested fix is added if an option seems to be misspelt, the value of an option begins
+        with "-", or a file exists whose name begins with "-".
         """
         unknown = message.partition("unrecognized arguments: ")[2].split()
         message += "".join(map(self._suggest_option, unknown))
@@ -51,7 +52,7 @@ class CommandParser(argparse.ArgumentParser):
         super().error(make_printable(message))
 
     def _suggest_option(self, argument: str) -> str:
-        """Return a suggested fix for an unknown option, such as "; did you mean --size?", or ""."""
+        """Return the end of a message about an unknown option: "; did you mean --size?", or ""."""
         from difflib import get_close_matches  # only now, because the import takes milliseconds
 
         if not argument.startswith("--"):
@@ -84,10 +85,11 @@ def is_folder(path: str) -> bool:
 
 
 def make_output_folder(output: str | None) -> None:
-    """Create the output folder if the option -o ends in a slash and the folder does not exist.
+    """Create the folder that the option -o names, and its parent folders, if they are missing.
 
-    Missing parent folders are created, too.  Without the slash, or the option, nothing happens.
-    Raise Failure if the folder cannot be created, for example because a file of that name exists.
+    Do nothing if the value of the option does not end in a slash, or is None because there is no
+    option -o.  Raise Failure if the folder cannot be created, for example because a file of this
+    name exists.
     """
     if output is not None and is_folder(output):
         with errors_as_failure(output, "written", OUTPUT_REMEDY):
@@ -97,8 +99,8 @@ def make_output_folder(output: str | None) -> None:
 def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     """Return the absolute path of a file, in which all symbolic links are resolved.
 
-    The file need not exist.  Raise Failure, with the given exit status, if the path is relative and
-    the working folder has been deleted.
+    The file need not exist.  Raise Failure, with the exit status, if the path is relative and the
+    working folder has been deleted.
     """
     remedy = "change to another"
     with errors_as_failure("the working folder", "found", remedy, exit_status=exit_status):
@@ -112,11 +114,11 @@ def choose_output_paths(
     default_paths: Sequence[str],
     list_files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda path: (path,),
 ) -> list[str]:
-    """Choose the path of each scene's result, and refuse to overwrite scenes or other results.
+    """Choose and return the path of each scene's result.
 
-    The parser ends the process with an error if a result would replace a scene or another result,
-    or if `output` is a file but there are several scenes.  Raise Failure if the working folder has
-    been deleted.
+    If a result would replace a scene or the result of another scene, or `output` is a file but
+    there are several scenes, the parser prints an error and ends the process.  Raise Failure if the
+    working folder has been deleted.
 
     Parameters
     ----------
@@ -127,7 +129,8 @@ def choose_output_paths(
         For each scene, the path of its result if the option -o was not given.  If the option names
         a folder, only the file name of this path is used.
     list_files
-        Lists all files of the result at a path.  By default, a result is a single file.
+        Takes the path of a result, and returns the paths of all files of the result.  By default,
+        a result is a single file.
     """
     if output is None:
         result_paths = list(default_paths)
@@ -139,6 +142,17 @@ def choose_output_paths(
         parser.error(
             f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
         )
+    _refuse_to_replace_files(parser, scenes, result_paths, list_files)
+    return result_paths
+
+
+def _refuse_to_replace_files(
+    parser: CommandParser,
+    scenes: Sequence[str],
+    result_paths: Sequence[str],
+    list_files: Callable[[str], Iterable[str | os.PathLike[str]]],
+) -> None:
+    """End the process with an error if a result would replace a scene or another scene's result."""
     scene_paths = {resolve_path(scene) for scene in scenes}
     scene_of_file = dict[str, str]()
     for scene, result_path in zip(scenes, result_paths, strict=True):
@@ -152,4 +166,3 @@ def choose_output_paths(
                     f"{path}: {both_scenes} would both be written there; process them one by one"
                 )
             scene_of_file[absolute_path] = scene
-    return result_paths

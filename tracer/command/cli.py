@@ -116,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.pixel is not None:
         return _explain_pixels(parser, arguments, arguments.pixel)
     file_format = _choose_format(parser, arguments)
+    _check_names(parser, arguments, file_format)
     jobs = _make_jobs(parser, arguments, file_format)
     if file_format == "exr":
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
@@ -164,7 +165,7 @@ def _make_parser() -> CommandParser:
 
 
 def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
-    """Make a function that extracts the integers from an argument such as "640x360".
+    """Return a function that extracts the integers from an argument such as "640x360".
 
     The function raises ArgumentTypeError if the argument is not valid.
 
@@ -172,7 +173,7 @@ def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]
     ----------
     pattern
         Regular expression for valid arguments.  Each group matches the digits of an integer, or
-        nothing.
+        nothing; then this integer is left out.
     rule
         Description of valid arguments, which follows "must be" in the error message.
     """
@@ -187,7 +188,10 @@ def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]
 
 
 def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
-    """End the process with a suggested fix for ``--size 400 300``, whose 300 looks like a scene."""
+    """End the process with a suggested fix if the arguments contain, say, ``--size 400 300``.
+
+    Otherwise, the 300 would count as the name of a scene.
+    """
     for option, width, height in zip(argv, argv[1:], argv[2:], strict=False):
         if option == "--size" and f"{width}{height}".isdecimal() and not os.path.exists(height):
             size = f"{width}x{height}"
@@ -195,10 +199,10 @@ def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
 
 
 def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
-    """Choose the picture format from the option --format, or the suffix of the file named by -o.
+    """Return the picture format that the option --format, or the suffix of the file at -o, names.
 
-    If neither option determines the format, it is "png".  If the suffix is unknown or contradicts
-    the option --format, the parser ends the process with an error.
+    It is a key of `FORMATS`.  If neither option determines the format, it is "png".  If the suffix
+    is unknown or contradicts the option --format, the parser ends the process with an error.
     """
     output = arguments.output or ""
     valid_formats = [arguments.format] if arguments.format else list(FORMATS)
@@ -211,13 +215,10 @@ def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
     return suffix[1:].lower()
 
 
-def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -> list[Job]:
-    """List the scenes to render, each with the path of its picture, in the order of the arguments.
+def _check_names(parser: CommandParser, arguments: _Arguments, file_format: str) -> None:
+    """Check that no scene has the name of a picture, and that "-" has a meaning where it is used.
 
-    Without the option -o, the format is added to the name of the scene file, as in SCENE.xml.png.
-    If the arguments contradict each other, or a picture would replace a scene or another picture,
-    the parser ends the process with an error.  Raise Failure if the working folder has been
-    deleted.
+    Otherwise, the parser ends the process with an error.
     """
     scenes = arguments.scenes
     output = arguments.output
@@ -238,6 +239,18 @@ def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -
             parser.error("-o -: an EXR file cannot go to standard output")
         if sys.stdout is not None and sys.stdout.isatty():
             parser.error("-o -: standard output is a terminal; write the picture to a file")
+
+
+def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -> list[Job]:
+    """List the scenes to render, each with the path of its picture, in the order of the arguments.
+
+    Without the option -o, the format is added to the name of the scene file, as in SCENE.xml.png.
+    If a picture would replace a scene, another picture or a special file, the parser ends the
+    process with an error.  Raise Failure if the working folder has been deleted.
+    """
+    scenes = arguments.scenes
+    output = arguments.output
+    if output == "-":
         return [Job(scene_path=scenes[0], output_path=output)]
     if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
         parser.error(f"-o {output}: not a regular file; for standard output, use -o -")
@@ -249,10 +262,10 @@ def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -
 
 
 def _explain_pixels(parser: CommandParser, arguments: _Arguments, pixel: tuple[int, int]) -> int:
-    """Print, for each scene, how the colour of a pixel (its column and row) is computed.
+    """Print how the colour of a pixel is computed in each scene, and return the exit status.
 
-    If this fails for a scene, an error is printed, the other scenes are still explained, and the
-    exit status that is returned is 1.
+    `pixel` is the column and the row of the pixel.  If this fails for a scene, an error is printed,
+    the other scenes are still explained, and the exit status is 1.
     """
     picture_options = arguments.output, arguments.format, arguments.crop, arguments.watch
     if any(picture_options) or arguments.samples > 1:
@@ -277,7 +290,8 @@ def _explain_pixels(parser: CommandParser, arguments: _Arguments, pixel: tuple[i
 def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     """Render all scenes, and render each of them again whenever its file changes.
 
-    Return 0 once standard output is closed because nobody reads it: never if `quiet`.
+    Return the exit status 0 when nobody reads standard output any more.  If `quiet`, nothing is
+    printed there, and this never returns.
     """
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
@@ -301,17 +315,22 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
 
 @dataclass(frozen=True)
 class _FileVersion:
-    """A version of a scene file.  Two are equal if the file has not been saved between them."""
+    """A version of a scene file.  Two are equal if the file was not saved between them."""
 
     # Modification time, size and inode number; None if the file cannot be accessed.
     status: tuple[int, int, int] | None
     checksum: int  # of the content
-    first_seen: float = field(compare=False)  # time of `monotonic` when the status was first seen
-    is_settled: bool = field(compare=False)  # whether every later save has another status
+    first_seen: float = field(compare=False)  # when the status was first seen, by `monotonic`
+    # Whether the status is so old that every later save will change it.
+    is_settled: bool = field(compare=False)
 
 
 def _read_version(path: str, previous: _FileVersion | None) -> _FileVersion:
-    """Read the version of a file, given the one that was read before."""
+    """Read the version of a file.
+
+    `previous` is the version that was read before, or None.  If it is settled and has the current
+    status, it is returned, and the file is not read.
+    """
     now = monotonic()
     status = None
     is_readable = False

@@ -1,9 +1,9 @@
 """The exception for a task that fails for a reason outside the program.
 
 Examples are a missing file, a full disk, and a scene that is too large.  The user needs one line
-about such a reason.  `errors_as_failure` turns an exception into a `Failure` where it arises,
-because only that place knows which file was in use, and for what.  `tracer.command.process` prints
-every failure, and ends the command with the failure's exit status.
+about such a reason, and no traceback.  `errors_as_failure` converts an exception to a `Failure`
+where it arises, because only that place knows which file was in use, and for what.
+`tracer.command.process` prints every failure, and ends the command with its exit status.
 """
 
 from __future__ import annotations
@@ -51,14 +51,21 @@ def errors_as_failure(
 
     The text of the failure is ``SUBJECT: cannot be PARTICIPLE: reason; REMEDY``.  The text of a
     SceneFileError is kept, because it contains a complete line for each error in the scene.  A
-    BrokenPipeError stays one, because a command must end silently when nobody reads its output.
+    BrokenPipeError is not converted, because a command must end silently when nobody reads its
+    output.
 
     Parameters
     ----------
+    subject
+        Name of the file, folder or stream that the block uses.
     participle
-        For example "written", after "cannot be".
+        What the block does to the subject: for example "written".
+    remedy
+        What the user can do.
     memory_remedy
-        What the user can do instead if there is not enough memory.
+        What the user can do if there is not enough memory; replaces `remedy`.
+    exit_status
+        Exit status of the command if this is its only failure.
     error_types
         Classes of errors to convert, in addition to OSError, MemoryError and SceneFileError.
     """
@@ -82,7 +89,7 @@ def errors_as_failure(
 def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error in one line, for example "No such file or directory".
 
-    For a MemoryError or ChildProcessError, the line is "not enough memory".  For another OSError,
+    For a MemoryError or ChildProcessError, the line is "not enough memory".  For any other OSError,
     it is the system's message, if there is one.  Otherwise, it is the text of the error, or the
     name of its class if there is no text.  Unprintable characters are escaped.
     """

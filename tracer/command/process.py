@@ -1,10 +1,13 @@
 """Start, interrupt and end the process of a command, and print its lines.
 
 Every command of this project calls `run` first, before its other imports.  Importing NumPy and the
-rest takes longer than rendering a small picture, and may fail: `run` must already handle Ctrl-C,
-limit the threads that NumPy starts, and report a missing package in one line.  A module that is
-executed as a command has the name ``__main__``, so it passes ``__spec__.name``: `run` imports it
-again under its own name, and its classes can be pickled.
+rest takes longer than rendering a small picture, and may fail.  During this time, `run` must
+already handle Ctrl-C, limit the threads that NumPy starts, and report a missing package in one
+line.
+
+A module that is executed as a command has the name ``__main__``.  It passes its own name,
+``__spec__.name``, to `run`, which imports it again under this name, so that its classes can be
+pickled.
 """
 
 from __future__ import annotations
@@ -28,8 +31,12 @@ _Result = TypeVar("_Result")
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit statuses: a task failed, the usage was wrong, or a signal ended the command."""
 
-# Exit status when nobody reads a result on standard output: that of a program that SIGPIPE ends.
+# Exit status when nobody reads a result on standard output.  A shell reports the same status for a
+# program that SIGPIPE ends.
 _UNREAD = 141
+
+# The name under which to install a package whose modules have another name.
+_INSTALLED_NAMES = {"PIL": "pillow", "skimage": "scikit-image"}
 
 
 def run(module_name: str) -> NoReturn:
@@ -41,9 +48,10 @@ def run(module_name: str) -> NoReturn:
     - 1 if there is not enough memory, or standard output cannot be written;
     - 2 if a package is missing;
     - 130 if a signal ends the command;
-    - 141 if nobody reads a result that it writes to standard output (a notice may be lost).
+    - 141 if nobody reads a result that the command writes to standard output.
 
     A Failure, a missing package or a lack of memory is reported in one line, without a traceback.
+    Any other exception is raised, and the process does not end here.
     """
     end_on_signals()
     # Starting the threads of OpenBLAS would take as long as rendering a small picture.  NumPy reads
@@ -51,17 +59,24 @@ def run(module_name: str) -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Collect garbage rarely: importing creates tens of thousands of objects, but no garbage.
     gc.set_threshold(50_000)
-    exit_status = FAILED
+    exit_status = _flush_streams(_import_and_call_main(module_name))
+    # An orderly exit would destroy NumPy's modules one by one, which takes a tenth as long as
+    # rendering a small picture.
+    os._exit(exit_status)
+
+
+def _import_and_call_main(module_name: str) -> int:
+    """Import a module, call its function `main`, and return the exit status of the command."""
     try:
         result = attempt(import_module(module_name).main)
-        exit_status = result.exit_status if isinstance(result, Failure) else result or 0
+        return result.exit_status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
-        package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
+        package = _INSTALLED_NAMES.get(package, package)
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
-        exit_status = MISUSED  # in some commands, status 1 means that pictures differ
+        return MISUSED  # in some commands, status 1 means that pictures differ
     except BrokenPipeError:
-        exit_status = _UNREAD
+        return _UNREAD
     except (ImportError, MemoryError, SystemError) as error:
         # NumPy's own message is a page of advice, but the first cause names the library at fault.
         first_cause: BaseException = error
@@ -70,22 +85,27 @@ def run(module_name: str) -> NoReturn:
         reason = str(first_cause).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, make_printable(f"the command cannot start: {reason}; {remedy}"))
+        return FAILED
     except SystemExit as error:
-        exit_status = error.code if isinstance(error.code, int) else FAILED
-    # Flush the streams here, because os._exit does not, and an error must change the exit status.
+        return error.code if isinstance(error.code, int) else FAILED
+
+
+def _flush_streams(exit_status: int) -> int:
+    """Write what standard output and standard error still hold, because `os._exit` does not.
+
+    Return the given exit status or, if it is 0 and writing fails, the status of that error.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None and not stream.closed:
                 stream.flush()
         except OSError as error:
             exit_status = exit_status or (_UNREAD if isinstance(error, BrokenPipeError) else FAILED)
-    # An orderly exit would destroy NumPy's modules one by one, which takes a tenth as long as
-    # rendering a small picture.
-    os._exit(exit_status)
+    return exit_status
 
 
 def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
-    """Call a function; if it raises a Failure, print the failure to standard error and return it.
+    """Call a function and return its result, or print the Failure that it raises and return that.
 
     A command that processes many files calls this for each file, so that it continues after a
     failure.
@@ -100,7 +120,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
-    Use this for notices: a command must not fail because a notice cannot be printed.
+    Use this for notices, because a command must not fail if a notice cannot be printed.
     """
     with suppress(OSError):
         print_or_raise(stream, text)
@@ -110,9 +130,8 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown.
 
     Characters that the stream cannot encode are escaped.  If the line cannot be printed, for
-    example because the disk is full, the stream is closed and OSError is raised.
-
-    The stream is None if Python started without it.
+    example because the disk is full, close the stream and raise OSError.  Raise OSError, too, if
+    the stream is closed, or is None because Python started without it.
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
@@ -132,9 +151,9 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
 def end_on_signals() -> None:
     """Install signal handlers that end this process immediately, without a message.
 
-    When a signal arrives, this process ends its workers, removes its part files (see
-    `tracer.files`), and ends with exit status 130.  A signal that is already ignored, for example
-    under nohup, stays ignored.
+    When a signal arrives, this process tells its child processes to end, deletes the unfinished
+    files that it has been writing, and ends with exit status 130.  A signal that is already
+    ignored, for example under nohup, stays ignored.
     """
     for signal_name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         signal_number = getattr(signal, signal_name, None)  # not all systems have the last three

@@ -32,16 +32,24 @@ class Progress:
     The bar appears at the first update after a second of work.  Use the instance as a context
     manager, which removes the bar at the end.
 
-    The unit of `total` is a noun in the plural, for example "pictures".
+    Parameters
+    ----------
+    total
+        Amount of work.
+    unit
+        What is counted, as a noun in the plural: for example "pictures".
+    show
+        False if no bar is wanted.
     """
+
+    _bar: Any  # from tqdm; None if it may still be created, and False if there can be no bar
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
         self._total = total
         self._unit = unit
         self._start_time = perf_counter()
         is_closed = sys.stderr is None or sys.stderr.closed
-        # A bar; None if it may be created later; False if there can be no bar.
-        self._bar: Any = None if show and not is_closed and sys.stderr.isatty() else False
+        self._bar = None if show and not is_closed and sys.stderr.isatty() else False
 
     def __enter__(self) -> Progress:
         return self
@@ -51,7 +59,7 @@ class Progress:
             self._bar.close()
 
     def update(self, finished_work: float, note: str = "") -> None:
-        """Show how much of the work is done, in the unit of `total`, and a note beside the bar."""
+        """Show how much of `total` has been done so far, and a note beside the bar."""
         seconds = perf_counter() - self._start_time
         if self._bar is None and seconds >= _SECONDS_BEFORE_BAR:
             self._bar = self._create_bar(seconds)
@@ -60,7 +68,7 @@ class Progress:
             self._bar.update(round(finished_work, 2) - self._bar.n)
 
     def _create_bar(self, seconds: float) -> Any:
-        """Create a tqdm progress bar for work that has taken some seconds already.
+        """Create a tqdm progress bar for work that began some seconds ago.
 
         Return False if tqdm is not installed, or its environment variables are invalid.
         """
@@ -69,30 +77,32 @@ class Progress:
 
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
-            width = None if _get_terminal_width() else _DEFAULT_WIDTH  # None: tqdm asks, too
+            # If the terminal states its width, tqdm finds the width itself.
+            width = None if _get_terminal_width() else _DEFAULT_WIDTH
             bar = tqdm(total=self._total, unit=self._unit, ncols=width, **options)
-            # Count the elapsed time from the start of the work, and show the next update directly.
+            # Count the elapsed time from the start of the work, and show the next update at once.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False
 
 
 def _get_terminal_width() -> int:
-    """Return the number of columns that standard error has, or 0 if the terminal does not say."""
+    """Return the number of columns of the terminal on standard error, or 0 if it is unknown."""
     with suppress(OSError, ValueError):  # not a terminal, or it has no file descriptor
         return os.get_terminal_size(sys.stderr.fileno()).columns
     return 0
 
 
 def format_pixel_count(count: int) -> str:
-    """Format a number of pixels for a reader, as in "11,520 pixels" or "1.2 million pixels"."""
+    """Format a number of pixels as text such as "11,520 pixels" or "1.2 million pixels"."""
     return f"{count / 1e6:,.1f} million pixels" if count >= 1_000_000 else f"{count:,} pixels"
 
 
 def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
     """Yield items, and show a progress bar if processing them takes longer than a second.
 
-    An item counts as finished when the next one is requested.  See `Progress` for the unit.
+    An item counts as finished when the next one is requested.  `total` is the number of items, and
+    `unit` is the noun for them in the plural.
     """
     with Progress(total, unit) as progress:
         for finished_count, item in enumerate(items, 1):
