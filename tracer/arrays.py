@@ -3,6 +3,8 @@
 A tuple contains the x, the y and the z components of many vectors in three arrays of one shape
 (a structure of arrays).
 
+A *run* is a sequence of consecutive elements that have something in common, such as their value.
+
 In all modules, `Shaped[Floats, "3 n"]` is a float array of shape (3, n): `Shaped` is another name
 of `typing.Annotated`, and `tests/shapes.py`, which explains the notation, checks all shapes.
 """
@@ -46,9 +48,10 @@ def map_xyz(
 
 
 def dot(a: Shaped[Triple, "..."], b: Shaped[Triple, "..."] | Vector) -> Shaped[Floats, "..."]:
-    """Compute the dot product of each pair of vectors, or of each vector in `a` and one vector.
+    """Compute the dot product of each vector in `a` and the vector in `b`, or the only vector `b`.
 
-    If the arrays of `a` differ in shape, the first must have the shape of the result.
+    If the arrays differ in shape, the product of the x components must have the shape of the
+    result.
     """
     products: Floats = a[0] * b[0]
     # Adding in place allocates fewer arrays.
@@ -72,7 +75,10 @@ def scale(
 def take(
     vectors: Shaped[Triple, "n"] | Shaped[Floats, "3 n"], index: Shaped[Ints, "k"] | slice
 ) -> Shaped[Triple, "k"]:
-    """Select vectors by index."""
+    """Select vectors by index.
+
+    The arrays of the result are views if `index` is a slice, and copies otherwise.
+    """
     # `take` is 1.5 times as fast as indexing with an array.
     x, y, z = (row[index] if isinstance(index, slice) else row.take(index) for row in vectors)
     return x, y, z
@@ -81,7 +87,7 @@ def take(
 def take_columns(
     vectors: Shaped[Triple, "#m n"], column_index: Shaped[Ints, "k"]
 ) -> Shaped[Triple, "#m k"]:
-    """Select columns of vectors."""
+    """Select columns from a table of vectors."""
     x, y, z = (component[:, column_index] for component in vectors)
     return x, y, z
 
@@ -91,7 +97,8 @@ def repeat_runs(
 ) -> Shaped[NDArray[Any], "n"]:
     """Repeat the value of each run for every element of the run.
 
-    If `counts` is None, every run has one element, and the result is `values` itself.
+    `counts` contains the number of elements of each run.  If it is None, every run has one element,
+    and the result is `values` itself.
     """
     # `repeat` is four times as fast as looking up the value of each element's run.
     return values if counts is None else values.repeat(counts)
@@ -107,10 +114,10 @@ def find(mask: Shaped[NDArray[Any], "..."]) -> Shaped[Ints, "k"]:
 def enumerate_ranges(
     counts: Shaped[Ints, "ranges"], starts: Shaped[Ints, "ranges"] | int = 0
 ) -> tuple[Shaped[Ints, "n"], Shaped[Ints, "n"]]:
-    """Join ranges of consecutive integers; return the index of each integer's range, too.
+    """Join ranges of consecutive integers, of which each is given by its length and its start.
 
-    For example, counts (2, 3) and starts (7, 4) give range indices (0, 0, 1, 1, 1) and integers
-    (7, 8, 4, 5, 6).
+    Return (1) the index of the range to which each integer belongs, and (2) the integers.  For
+    example, counts (2, 3) and starts (7, 4) give (0, 0, 1, 1, 1) and (7, 8, 4, 5, 6).
     """
     return np.arange(counts.size).repeat(counts), join_ranges(counts, starts)
 
@@ -118,7 +125,7 @@ def enumerate_ranges(
 def join_ranges(
     counts: Shaped[Ints, "ranges"], starts: Shaped[Ints, "ranges"] | int
 ) -> Shaped[Ints, "n"]:
-    """Join ranges of consecutive integers into one array.
+    """Join ranges of consecutive integers, of which each is given by its length and its start.
 
     For example, counts (2, 3) and starts (7, 4) give (7, 8, 4, 5, 6).
     """
@@ -131,7 +138,11 @@ def join_ranges(
 
 
 def mark_run_starts(*arrays: Shaped[NDArray[Any], "n"]) -> Shaped[Bools, "n"]:
-    """Mark the positions where runs start: sequences of positions at which no array changes."""
+    """Mark the positions at which a run starts.
+
+    Within a run, the values of each array are equal.  So a run starts at the first position, and
+    wherever the value of at least one array differs from the value before it.
+    """
     is_start = np.ones(arrays[0].size, dtype=np.bool_)
     has_changed = np.not_equal(arrays[0][1:], arrays[0][:-1], out=is_start[1:])
     for array in arrays[1:]:
@@ -151,15 +162,19 @@ def sort_distinct(keys: Shaped[Ints, "n"]) -> Shaped[Ints, "distinct"]:
 def find_runs(
     *arrays: Shaped[NDArray[Any], "n"],
 ) -> tuple[Shaped[Ints, "runs"], Shaped[Ints, "runs"]]:
-    """Find the start and the length of each run, as `mark_run_starts`."""
+    """Find the start and the length of each run of equal values.
+
+    If there are several arrays, the values of all of them are equal within a run.
+    """
     starts = find(mark_run_starts(*arrays))
     return starts, np.append(starts[1:], arrays[0].size) - starts
 
 
 def split_by_size(sizes: Shaped[Ints, "n"], max_size: int = CACHE_SIZE) -> Iterator[slice]:
-    """Divide items into batches of consecutive items, of a total size of at most `max_size`.
+    """Divide items of different sizes into batches, and yield the slice of the items in each batch.
 
-    An item that is larger forms a batch on its own.
+    The items in a batch have a total size of at most `max_size`.  An item that is larger forms a
+    batch on its own.
     """
     total_sizes = sizes.cumsum()  # of the items up to and including each item
     start = 0
@@ -173,7 +188,7 @@ def split_by_size(sizes: Shaped[Ints, "n"], max_size: int = CACHE_SIZE) -> Itera
 def split_indices(
     indices: Shaped[Ints, "n"], max_count: int = BATCH_SIZE
 ) -> Iterator[Shaped[Ints, "k"]]:
-    """Divide an array of indices into batches of `max_count`; the last may have fewer."""
+    """Divide an array of indices into views of `max_count` indices; the last may have fewer."""
     for start in range(0, indices.size, max_count):
         yield indices[start : start + max_count]
 
@@ -183,7 +198,7 @@ def take_2d(
     row: Shaped[Ints, "n"] | int,
     column: Shaped[Ints, "n"],
 ) -> Shaped[NDArray[Any], "n"]:
-    """Return table[row[i], column[i]] for each i; an int applies to all i."""
+    """Return table[row[i], column[i]] for each i, or table[row, column[i]] if `row` is an int."""
     elements: NDArray[Any] = table.reshape(-1).take(row * table.shape[1] + column)
     return elements
 
@@ -194,8 +209,8 @@ def put_2d(
     column: Shaped[Ints, "n"],
     value: bool,
 ) -> None:
-    """Set table[row[i], column[i]] to one value for each i.
+    """Set table[row[i], column[i]] to the value for each i.
 
-    The table must be contiguous in memory (C order).
+    The table must be contiguous in memory (C order).  Otherwise, nothing would be changed.
     """
     table.reshape(-1)[row * table.shape[1] + column] = value

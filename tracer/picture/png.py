@@ -1,12 +1,12 @@
 """Encode linear radiance as 8-bit codes, and write them to a PNG file (ISO/IEC 15948).
 
 A picture is written tile by tile, in the order of its pixels, so only one tile needs to be in
-memory.  Each tile is compressed separately, in any process.  The checksum of the file is computed
-from those of the tiles.
+memory.  Each tile can be compressed separately, in any process.  The checksum of all pixels is
+computed from the checksums of the tiles.
 
 Codes are rounded exactly.  The power function in float64 has an error of a few units in the
-last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
-thresholds give the correct code in half the time.
+last place, so it may give a wrong code near a threshold between two codes.  A table of exact
+thresholds corrects the code.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ _MAX_CODE = 255
 # Numerator and denominator of gamma, 11 / 5 = 2.2: thresholds are computed exactly, with integers.
 _GAMMA = 11, 5
 
-# Radiance is raised to at least this value, whose code is 0, because powers of 0 take longer.
+# Smaller radiance is replaced by this value, whose code is 0, because powers of 0 take longer.
 _MIN_RADIANCE = 1e-9
 
-# Maximum error of the estimate of a threshold, in units in the last place (ulps), with a margin.
+# Maximum error of the estimate of a threshold in units in the last place (ulps), with a margin.
 _MAX_ESTIMATE_ULPS = 4
 
-# Number of values that are encoded or compressed together: they stay in the CPU cache.
+# Maximum number of values that are encoded or compressed together, so that they stay in the CPU
+# cache.
 _VALUES_PER_BATCH = CACHE_SIZE
 
 # Level of compression of zlib.  Level 3 takes no longer than level 1.
@@ -114,14 +115,14 @@ def compress_tile(
 ) -> CompressedTile:
     """Encode a tile as 8-bit codes, and compress it for `write_tiles`.
 
-    A tile is whole rows of what the file shows, or part of one row.  Raise ValueError if it
-    contains a NaN.
+    A tile consists of whole rows of the picture in the file, or of a part of one row.  Raise
+    ValueError if it contains a NaN.
 
     Parameters
     ----------
     is_leftmost
-        Whether the tile is at the left edge of what the file shows.  If so, each row begins with a
-        zero byte, which means that the row is not filtered (PNG, 9.2).
+        Whether the tile is at the left edge of that picture.  If so, each of its rows begins with
+        a zero byte, which means that the row is not filtered (PNG, 9.2).
     """
     codes = to_codes(radiance)
     rows = codes.reshape(len(codes), -1)
@@ -137,9 +138,10 @@ def compress_tile(
 def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[CompressedTile]) -> None:
     """Write a PNG file, at the current position of `file`, from the tiles of a picture.
 
-    The tiles are ordered from top to bottom and from left to right.  Each is written before the
-    next one is requested.  Raise ValueError if they contain more or fewer pixels than the picture
-    has, or it has none.
+    The tiles must be ordered from top to bottom and from left to right.  Each is written before the
+    next one is requested.  Raise ValueError if they contain more or fewer pixels than a picture of
+    this size, or if `width` or `height` is less than 1.  Raise OSError if the file cannot be
+    written.
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
@@ -169,7 +171,9 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
 
 
 def _combine_checksums(first_checksum: int, second_checksum: int, second_size: int) -> int:
-    """Combine the Adler-32 checksums of two byte strings into the checksum of the joined string.
+    """Compute the Adler-32 checksum of two joined byte strings from the checksum of each.
+
+    `second_size` is the length of the second string.
 
     An Adler-32 checksum has two halves of 16 bits, modulo `_ADLER_MODULUS`.  The lower half is 1
     plus the sum of the bytes.  The upper half is the sum of the lower halves after each byte.
@@ -223,7 +227,9 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
 def _validate_radiance(image: ArrayLike) -> Shaped[Floats, "height width 3"]:
     """Check that an image is linear radiance, and convert it to a contiguous float64 array.
 
-    The result is `image` itself if that is already such an array.  For errors, see `to_codes`.
+    The result is `image` itself if that is already such an array.  Raise TypeError if the image has
+    type uint8, is complex, or is a masked array.  Raise ValueError if its shape is not (height,
+    width, 3), or it contains a NaN.
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:
@@ -242,9 +248,9 @@ def _validate_radiance(image: ArrayLike) -> Shaped[Floats, "height width 3"]:
 
 @cache
 def _compute_next_thresholds() -> Shaped[Floats, "256"]:
-    """Compute, for each 8-bit code, the smallest radiance that has a larger code.
+    """Compute, for each 8-bit code, the smallest float64 radiance that has a larger code.
 
-    It is exact, and infinite for the last code.
+    It is infinite for the last code.
     """
     return np.array([*map(_compute_threshold, range(1, _MAX_CODE + 1)), np.inf])
 

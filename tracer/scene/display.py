@@ -10,4 +10,4 @@ from collections.abc import Callable
 from typing import Any
 
 make_scene_png: Callable[[Any], bytes]
-"""Render a `Scene` to the bytes of a PNG file that a notebook can show."""
+"""Renders a `Scene` to the bytes of a PNG file that a notebook can show."""

@@ -1,9 +1,10 @@
 """Parse a scene file into elements with line numbers.
 
 The problem is to read files of up to 256 MiB in little memory.  Expat parses the file as a stream.
-Each child of the root is complete when its end tag is parsed; it is then passed on and forgotten,
-so that at most one child is in memory.  Limits on the bytes of a file, on the length of a token,
-and on the elements in one child bound the memory and time that any file can take.
+When the end tag of a child of the root is parsed, the child is passed on and forgotten, so that at
+most one child is in memory.  Limits on the bytes of a file, on the length of a token (a tag, a
+comment or a piece of text), and on the elements in one child bound the memory and the time that any
+file can take.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ FileOrPath: TypeAlias = str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO
 MAX_BYTES = 1 << 28
 """Maximum size of a scene file: 256 MiB, about two million objects."""
 MAX_TOKEN_LENGTH = 1 << 20
-"""Maximum length of a tag, a comment or a piece of text, in bytes or characters."""
+"""Maximum length of a token: of a text in characters, of any other in bytes."""
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
@@ -41,30 +42,29 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 class FatalError(Exception):
     """An error after which the rest of a scene file is not read.
 
-    ``error.args`` is a pair of (1) the line number in the file, or 0 if the error concerns the
-    whole file, and (2) the message with a suggested fix.
+    ``error.args`` contains (1) the line number in the file, or 0 if the error concerns the whole
+    file, and (2) the message, with a suggested fix.
     """
 
 
 class Element(list["Element"]):
     """An XML element of a scene file: a list of its child elements."""
 
-    # The parser sets the slots one by one, which is faster than calling `__init__`.
+    # The parser sets the slots one by one, which is faster than an `__init__` with arguments.
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
     line: int  # where the element begins
-    # Text inside the element.  If the element must not contain text, the first text that was
-    # reported as an error.
+    # Text inside the element.  If the element must not contain text, only the first piece, which
+    # was reported as an error.
     text: str
 
 
 def open_scene(path: str) -> IO[bytes]:
-    """Open a scene file for reading if it is a regular file of at most `MAX_BYTES`.
+    """Open a scene file for reading.
 
-    Pipes, devices and other special files are refused, because reading them might never end.  Raise
-    FatalError for these, for folders, for larger files and for invalid paths, and OSError if the
-    file cannot be opened.
+    Raise FatalError if the path is invalid, or does not name a regular file of at most `MAX_BYTES`:
+    reading a pipe or a device might never end.  Raise OSError if the file cannot be opened.
     """
     try:
         file_status = os.stat(path)
@@ -83,9 +83,14 @@ def open_scene(path: str) -> IO[bytes]:
 class Parser:
     """A streaming parser of one scene file.
 
-    `read_element` is called with the root, which has no children yet, and then with each complete
-    child of the root.  If text is not allowed, `report_at` is called with the line of the text, the
-    tag of its element, and the error message.
+    Parameters
+    ----------
+    read_element
+        Called with the root when it begins, and has no children yet.  Then called with each child
+        of the root when it ends, and is complete.  The children are not added to the root.
+    report_at
+        Called for text in an element that must not contain text, with the line of the text, the tag
+        of the element, and the error message.
     """
 
     open_elements: list[Element]  # those whose end tag has not been parsed yet, the root first
@@ -115,8 +120,8 @@ class Parser:
     def parse(self, file: IO[bytes]) -> None:
         """Parse a whole scene file.
 
-        Raise FatalError if the file is not well-formed XML, or exceeds a limit; elements before the
-        error have then been passed on.  Raise TypeError if `file` returns text.
+        Raise FatalError if the file is empty, is not well-formed XML, or exceeds a limit.  Elements
+        before the error have then been passed on.  Raise TypeError if `file` is a text file.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -133,7 +138,7 @@ class Parser:
             self.expat = None
 
     def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
-        """Parse the next bytes of a scene file; at its end, `chunk` is empty.
+        """Parse the next bytes of the file; at its end, `chunk` is empty.
 
         After a syntax error, more bytes are read from `file` to diagnose the error.
         """
@@ -156,9 +161,10 @@ class Parser:
             raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
 
     def _diagnose_syntax_error(self, error: expat.ExpatError, next_bytes: bytes) -> FatalError:
-        """Convert a syntax error of expat to an error with a suggested fix.
+        """Convert a syntax error of expat to an error with a suggested fix, and return that.
 
-        `next_bytes` follow the current chunk in the file.
+        `next_bytes` follow the current chunk in the file.  If expat has run out of memory, raise
+        MemoryError.
         """
         message = expat.ErrorString(error.code)
         if message == expat.errors.XML_ERROR_NO_MEMORY:
@@ -171,10 +177,10 @@ class Parser:
         return FatalError(line, f"not XML: {message} at column {error.offset + 1}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
-        """Create an element, and add it to its parent.
+        """Create an element, and add it to its parent; if it is the root, pass it on.
 
-        The root is passed on immediately.  Its children are not added to it, so that their memory
-        can be freed.
+        Children of the root are not added to it, so that their memory can be freed.  Raise
+        FatalError if there are too many elements or attributes.
         """
         element = Element()
         element.tag = tag
@@ -204,10 +210,10 @@ class Parser:
             self.read_element(element)
 
     def _handle_text(self, text: str) -> None:
-        """Add text to the innermost open element; expat may split a long text into several calls.
+        """Add text to the innermost open element.  Expat may split a text into several calls.
 
-        White space between elements is ignored.  Other text is an error in an element that contains
-        elements, such as <camera>; only the first error in each element is reported.
+        An element that contains elements, such as <camera>, must contain no text but white space.
+        Only its first piece of text is reported.
         """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:

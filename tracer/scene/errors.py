@@ -1,4 +1,7 @@
-"""Collect the errors in a scene file, with a suggested fix for each."""
+"""Collect the errors in a scene file, with a suggested fix for each.
+
+Errors are collected instead of raised, so that the user sees all of them at once.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ SCENE_TAGS = "camera", "image", "light", "shader", "surface"
 
 
 class ErrorCollector:
-    """The errors found so far in a scene file, and methods that add errors in elements."""
+    """The errors found so far in a scene file.
+
+    All methods add errors, and raise FatalError if there are already `MAX_ERRORS`.
+    """
 
     # Line and message of each error so far; line 0 if the error concerns the whole file.
     errors: list[tuple[int, str]]
@@ -25,23 +31,21 @@ class ErrorCollector:
         self.errors = []
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Record an error in an element, at a line of the file.
-
-        Raise FatalError if there are already `MAX_ERRORS` errors.
-        """
+        """Add an error at a line of the file, in an element with this tag."""
         if len(self.errors) == MAX_ERRORS:
             last_line = max(line for line, _ in self.errors)
             raise FatalError(last_line, f"{MAX_ERRORS} errors so far; fix these first")
         self.errors.append((line, f"{shorten(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
-        """Record an error at the line where an element begins."""
+        """Add an error at the line where an element begins."""
         self.report_at(element.line, element.tag, message)
 
     def report_invalid_type(self, element: Element, types: Iterable[str], *attributes: str) -> None:
-        """Report that the type of a shader or surface is missing or unknown.
+        """Report that the attribute "type" of a shader or surface is missing or unknown.
 
-        Attributes other than `attributes` and "type" are reported, too.
+        `types` are the known types.  The element may have this attribute and `attributes`; all
+        others are reported as unknown.
         """
         intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
@@ -55,9 +59,10 @@ class ErrorCollector:
     def report_unknown_element(
         self, element: Element, parent: Element, allowed_tags: Collection[str]
     ) -> str | None:
-        """Report a child with an unknown tag, and return the tag that was probably meant, or None.
+        """Report a child with an unknown tag.
 
-        `allowed_tags` are the tags that children of the parent may have.
+        `allowed_tags` are the tags that children of the parent may have.  Return the one that was
+        probably meant, or None if this is unclear.
         """
         if element.tag in SCENE_TAGS:
             remedy = f"close the {parent.tag} on line {parent.line} first"
@@ -79,11 +84,11 @@ class ErrorCollector:
     def report_unknown_attributes(
         self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
     ) -> set[str | None]:
-        """Report all unknown attributes of an element.
+        """Report all attributes of an element that are not in `allowed_names`.
 
-        An attribute may have been written in place of a child element; `child_tags` are the tags
-        that children may have.  Return the names that were probably meant, with None for an
-        attribute whose meaning is unclear.
+        If an attribute was probably written in place of a child element, that is suggested;
+        `child_tags` are the tags that children may have.  Return the names of attributes and the
+        tags that were probably meant; None stands for attributes whose meaning is unclear.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():

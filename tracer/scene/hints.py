@@ -17,7 +17,7 @@ from tracer.messages import quote, shorten
 
 SCENE_REMEDY = "a scene file holds <scene> ... </scene>"
 
-# Maximum number of known names that are compared with an unknown one: each takes about 30 us.
+# Maximum number of known names that are compared with an unknown one.  A comparison takes 30 us.
 _MAX_COMPARED = 256
 
 # Maximum number of known names that a message lists.
@@ -27,10 +27,10 @@ _INVALID, _UNCLOSED = errors.XML_ERROR_INVALID_TOKEN, errors.XML_ERROR_UNCLOSED_
 _QUOTED = 'put the value of an attribute in quotes, as in type="Sphere"'
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
-# A row contains (1) expat's message, or "" for any message; (2) a pattern that the text before the
-# error must end with; (3) a pattern that the text from the error on must begin with; (4) the
-# suggested fix, in which `line` is the line where the match of (2) begins, and `description` states
-# the character at the error.  The first row that matches is used.
+# Each row contains (1) expat's message, or "" for any message; (2) a pattern that the text before
+# the error must end with; (3) a pattern that the text from the error on must begin with; and (4)
+# the suggested fix.  In the fix, `line` is the line where the match of (2) begins, and
+# `description` states the character at the error.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # for example, a picture
@@ -70,8 +70,9 @@ _CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
 _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
 # Names of elements and attributes in other scene formats, in lower case, and what to write in their
-# place.  The first replacement that is allowed in the surrounding element is suggested, with any
-# text after its comma.  "" means that there is no replacement.
+# place.  A replacement is a start tag, or the tag of an element, after which advice may follow a
+# comma.  The first one that is allowed in the surrounding element is suggested.  "" means that the
+# element should be removed.
 _REPLACEMENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
@@ -88,16 +89,19 @@ _REPLACEMENTS: dict[str, Sequence[str]] = {
 def suggest_syntax_fix(
     message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
-    """Suggest a fix for an XML syntax error, such as "close the <light> opened on line 3".
+    """Return a suggested fix for an XML syntax error: "close the <light> opened on line 3".
 
     Parameters
     ----------
     message
         Expat's error message.
+    line
+        Line of the error in the file.
     before, after
-        The bytes of the file just before the error, and from the error on.
+        Some bytes of the file before the error, and some from the error on.
     elements
-        The elements that are still open at the error, starting with the root.
+        The elements that are still open at the error, starting with the root.  Each has the
+        attributes `tag` and `line`.
     encoding
         The encoding that the file declares; "" if it declares none.
     """
@@ -130,17 +134,17 @@ def _find_syntax_remedy(message: str, line: int, before: bytes, after: bytes) ->
 
 
 class Suggestion(NamedTuple):
-    """A suggestion that replaces an unknown name."""
+    """A suggested fix for an unknown name."""
 
-    remedy: str  # the suggested fix
+    remedy: str  # the fix as a clause of a message: "did you mean 'radius'?"
     name: str | None  # the name that was probably meant; None if this is unclear
 
 
 def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
     """Suggest the allowed name that is most similar to an unknown one; ignore the case of letters.
 
-    If none is similar, the fix lists some allowed names.  To save time, only the first
-    `_MAX_COMPARED` allowed names and the beginnings of long names are compared.
+    If none is similar, the suggestion lists some allowed names instead.  To save time, only the
+    first `_MAX_COMPARED` allowed names and the beginnings of long names are compared.
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
@@ -158,7 +162,8 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    The name in the suggestion is a tag, or other text to write.
+    The suggestion's `name` is one of `allowed_tags`, or a start tag such as <shader type="Phong">,
+    or an element of `_REPLACEMENTS` with advice.  It is None if no tag was clearly meant.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if not replacement:
@@ -169,9 +174,9 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
 
 
 def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
-    """Yield explanations why words are not valid numbers.
+    """Yield an explanation for each word of why it is not a valid number.
 
-    Equal words are explained once, and of all words with commas only the first.
+    Equal words are explained once.  Of several words with commas, only the first is explained.
     """
     is_comma_explained = False
     for word in dict.fromkeys(words):
@@ -182,7 +187,10 @@ def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
 
 
 def explain_invalid_number(word: str) -> str:
-    """Explain why a word is not a valid number, or is too small for one, and suggest a fix."""
+    """Explain why a word is not a valid number, and suggest a fix.
+
+    A number so small that it would become 0 in float64 is not valid.
+    """
     for character in word:
         if not character.isascii():
             category = "Pd" if character == "\N{MINUS SIGN}" else unicodedata.category(character)

@@ -2,7 +2,7 @@
 
 All numbers are finite.  The magnitude of numbers is at most 1e75, except in directions.  Lengths
 and coordinates other than 0 have a magnitude of at least 1e-75.  Colours, intensities and exponents
-are not negative.  `SceneError` lists all errors, not only the first.
+are not negative.  If values are invalid, one `SceneError` lists all of them.
 
 The metadata of the fields define the elements of scene files: see `schema.tag_field`.
 """
@@ -44,7 +44,7 @@ _MIN_COSINE = 1e-10
 
 @np.errstate(under="ignore")
 def normalize(vector: ArrayLike) -> Shaped[Floats, "3"]:
-    """Scale a vector other than the zero vector to length 1, without overflow or underflow."""
+    """Scale a vector to length 1.  It must be finite, and not the zero vector."""
     components = np.asarray(vector, dtype=np.float64)
     # Scale the vector so that the squares of its large components neither overflow nor underflow.
     # Scaling by a power of two is exact, so that pictures of scaled scenes stay bit-identical.
@@ -106,7 +106,7 @@ class Camera(Validated):
 
     @classmethod
     def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterator[FieldError]:
-        """Find cameras whose window's normal is parallel to `view_up`, or not ahead of the eye."""
+        """Find windows whose normal is parallel to `view_up`, or perpendicular to `view_dir`."""
         arrays = map(get_rows, ("view_up", "view_dir", "proj_normal"))
         for index, (view_up, view_dir, normal) in enumerate(zip(*arrays, strict=True)):
             normal_name = "proj_normal"
@@ -305,13 +305,13 @@ class Box(Validated):
 
 
 Kind: TypeAlias = type[Sphere] | type[Box]
+"""The class of a surface."""
 
-
-# Methods by which a list is changed.
+# Methods that change a list.
 _LIST_METHODS = frozenset(
     ("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort")
 )
-# The suggestion in messages about these methods.
+# Suggested fix for calling one of them on `Surfaces`.
 _CHANGE_REMEDY = "make a new scene: dataclasses.replace(scene, surfaces=[*scene.surfaces, x])"
 
 
@@ -382,9 +382,10 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...],
         line: ArrayLike,
     ) -> Surfaces:
-        """Copy and validate tables of numbers (see `tables`).
+        """Create surfaces from the numbers of each field of each kind, copied and validated.
 
-        For the other arguments, see the class.
+        `tables` has the form of the attribute `tables`, but may contain lists in place of arrays.
+        For the other arguments and the errors, see `Surfaces`.
         """
         surfaces = cls.__new__(cls)
         surfaces._fill(tables, shader_index, file_index, shaders, line)
@@ -398,6 +399,7 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...],
         line: ArrayLike | None,
     ) -> None:
+        """Set all attributes of a new instance: both ways of creating one call this."""
         self.tables = {kind: _copy_columns(kind, columns) for kind, columns in tables.items()}
         self.counts = {
             kind: len(next(iter(columns.values()))) for kind, columns in self.tables.items()
@@ -413,7 +415,7 @@ class Surfaces(Sequence[Sphere | Box]):
         schema.raise_if_any(self._find_array_errors())
         errors = sorted(self._find_number_errors(), key=lambda error: error[0])
         schema.raise_if_any(f"surface {index}: {message}" for index, message in errors)
-        self.__setstate__(vars(self))
+        self._protect_arrays()
 
     @property
     def center(self) -> Shaped[Floats, "spheres 3"]:
@@ -433,7 +435,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def _find_array_errors(self) -> Iterator[str]:
         """Yield a message for each array that has the wrong length or contains invalid indices."""
-        # Name, array, required length, and the reason for it.
+        # The name of an array, the array, its required length, and the reason for this length.
         requirements: list[tuple[str, NDArray[Any], int, str]] = []
         for columns in self.tables.values():
             (first_name, first_column), *others = columns.items()
@@ -454,7 +456,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def _find_number_errors(self) -> Iterator[tuple[int, str]]:
         """Yield the index in the file of each surface with an invalid number, and what is wrong."""
-        first_index = 0
+        first_index = 0  # in the arrays, of the surfaces of this kind
         for kind, columns in self.tables.items():
             # One row for each surface, also if the field is a single number.
             rows = {name: np.atleast_2d(column.T).T for name, column in columns.items()}
@@ -463,12 +465,18 @@ class Surfaces(Sequence[Sphere | Box]):
             first_index += self.counts[kind]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            setattr(self, name, _protect(value) if isinstance(value, np.ndarray) else value)
-        self.tables = {
-            kind: {name: _protect(column) for name, column in columns.items()}
-            for kind, columns in state["tables"].items()
-        }
+        """Restore an instance that was pickled."""
+        vars(self).update(state)
+        self._protect_arrays()
+
+    def _protect_arrays(self) -> None:
+        """Replace all arrays by read-only views (see `_protect`)."""
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(self, name, _protect(value))
+        for columns in self.tables.values():
+            for name, column in columns.items():
+                columns[name] = _protect(column)
 
     @classmethod
     def from_objects(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
@@ -541,7 +549,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def _make_surface(self, index: int) -> Sphere | Box:
         """Create the `Sphere` or `Box` with an index in the arrays."""
-        row = index
+        row = index  # in the table of a kind, once all tables before it have been skipped
         for kind in self.counts:
             if row < self.counts[kind]:
                 break
@@ -551,7 +559,7 @@ class Surfaces(Sequence[Sphere | Box]):
             "line": self.line.item(index) or None,
         }
         for name, column in self.tables[kind].items():
-            value = column[row].tolist()  # of Python's numbers
+            value = column[row].tolist()  # converts NumPy's numbers to Python's
             fields[name] = tuple(value) if column.ndim > 1 else value
         return schema.construct_unchecked(kind, **fields)
 
@@ -577,15 +585,18 @@ class Surfaces(Sequence[Sphere | Box]):
 
 
 def _copy_columns(kind: Kind, columns: Mapping[str, ArrayLike]) -> dict[str, Floats]:
-    """Copy the numbers of surfaces of one kind into arrays, in the order of the kind's fields."""
+    """Copy the numbers of surfaces of one kind into arrays, one for each field, in their order.
+
+    Raise `SceneError` if the numbers of a field have the wrong type or shape.
+    """
     validators = schema.get_number_validators(kind)
     return {name: each.copy_rows(columns[name], name) for name, each in validators.items()}
 
 
 def _protect(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view of an array, with NumPy's own dtype."""
-    # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
-    # 20 times as long, and every array that is computed from these arrays inherits the copy.
+    # The dtype of an unpickled array is a copy of NumPy's own.  With a copy, `ufunc.at` takes 20
+    # times as long, and every array that is computed from the array inherits the copy.
     view: NDArray[Any] = array.view(array.dtype.type)
     view.setflags(write=False)
     return view

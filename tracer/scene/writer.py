@@ -1,4 +1,4 @@
-"""Write a scene file."""
+"""Write a scene file that describes a `Scene` exactly: reading it gives an equal scene."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
 
 
 def _is_scene_file(path: str) -> bool:
-    """Test whether a file is XML, with the root <scene>, and not a scene of Mitsuba.
+    """Test whether a file is XML with the root <scene>, but not a scene of Mitsuba.
 
-    The root of Mitsuba's files has an attribute `version`.
+    In files of Mitsuba, the root has an attribute `version`.
     """
     # Imported only when needed, because importing takes time.
     from xml.etree import ElementTree as ET
@@ -62,14 +62,14 @@ def _is_scene_file(path: str) -> bool:
 def _format_scene(scene: Scene) -> Iterator[str]:
     """Yield the text of a scene file, piece by piece.
 
-    Each shader is written once, before the surfaces, which refer to it by name.
+    Each shader that a surface uses is written once.  The surfaces follow, and refer to it by name.
     """
     surfaces = scene.surfaces
     yield f"<scene>\n  <camera>{_format_numbers(scene.camera)} </camera>\n"
     yield f"  <image>{scene.width} {scene.height}</image>\n"
     for light in scene.lights:
         yield f"  <light>{_format_numbers(light)} </light>\n"
-    # Each shader has the index of the first one that is equal to it.
+    # The number in the name of each shader: the index of the first one that is equal to it.
     written_index: dict[Shader, int] = {}
     for index in np.unique(surfaces.shader_index).tolist():
         shader = surfaces.shaders[index]
@@ -84,14 +84,15 @@ def _format_scene(scene: Scene) -> Iterator[str]:
 
 
 def _format_numbers(scene_object: Any) -> str:
-    """Format the numbers of a scene's part as XML elements, each after a space.
+    """Format all numbers of a camera, light, shader or surface as XML elements.
 
-    Fields that are None are skipped.  A sphere gives " <center>0 0 0</center> <radius>1</radius>".
+    A sphere gives " <center>0 0 0</center> <radius>1</radius>".  Fields that are None are skipped.
     """
-    text_of_tag = {
-        field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
-        for field in fields(scene_object)
-        if isinstance(field.metadata.get("validator"), NumberValidator)
-        and (value := getattr(scene_object, field.name)) is not None
-    }
-    return "".join(f" <{tag}>{text}</{tag}>" for tag, text in text_of_tag.items())
+    text = ""
+    for field in fields(scene_object):
+        value = getattr(scene_object, field.name)
+        if value is not None and isinstance(field.metadata.get("validator"), NumberValidator):
+            tag = field.metadata["tags"][0]
+            numbers = " ".join(map(format_number, np.ravel(value).tolist()))
+            text += f" <{tag}>{numbers}</{tag}>"
+    return text
