@@ -54,7 +54,7 @@ def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
 
 
 def _cover_whole_rows(
-    shape: Shape, scene: PreparedScene, row_top: Floats, x_range: tuple[float, float], **_: float
+    shape: Shape, bounds: ScreenBounds, row_top: Floats, x_range: tuple[float, float], **_: float
 ) -> ObjectSpans:
     """Stand in for `find_object_spans`: every object covers every row."""
     row, index_in_shape = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)

@@ -64,7 +64,8 @@ def _find_partly_covered(
     the left of these, or all pixels if there are none.  The second contains those to the right.
     """
     row_top = np.arange(rows.start, rows.stop, dtype=np.float64)
-    spans = find_object_spans(shape, scene, row_top, (columns.start, columns.stop), height=1.0)
+    column_limits = (columns.start, columns.stop)
+    spans = find_object_spans(shape, scene.bounds, row_top, column_limits, height=1.0)
     overlap_start = np.floor(spans.left)
     overlap_stop = np.floor(spans.right) + 1
     covered = _find_covered_parts(shape, scene, spans, row_top[spans.row])

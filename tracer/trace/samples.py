@@ -21,8 +21,8 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints, enumerate_ranges, find, mark_run_starts
 from tracer.geometry.camera import CameraFrame
+from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import Shape
-from tracer.world.prepared_scene import PreparedScene
 
 # Spans are widened by this length on both sides: far more than their rounding errors.  The unit is
 # the distance between two columns for `Rows`, and a pixel for `Scattered`.
@@ -45,7 +45,7 @@ class ObjectSpans(NamedTuple):
 
 def find_object_spans(
     shape: Shape,
-    scene: PreparedScene,
+    bounds: ScreenBounds,
     row_top: Shaped[Floats, "rows"],
     x_range: tuple[float, float],
     height: float = 0.0,
@@ -55,6 +55,8 @@ def find_object_spans(
 
     Parameters
     ----------
+    bounds
+        Bounding rectangles of all objects of the scene.
     row_top
         Upper edges of the rows, in ascending order.
     x_range
@@ -65,7 +67,7 @@ def find_object_spans(
     pad
         Length by which to widen each span on both sides.
     """
-    bounds = scene.bounds.select(shape.objects.slice)
+    bounds = bounds.select(shape.objects.slice)
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
     first_row = row_top.searchsorted(bounds.top[in_range_index] - pad - height)
     end_row = row_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
@@ -120,10 +122,11 @@ class Samples(ABC):
         """Return x and y of the samples with the given indices."""
 
     @abstractmethod
-    def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
+    def find_spans(self, shape: Shape, bounds: ScreenBounds) -> SampleSpans:
         """Find spans of samples whose rays may meet objects of one shape.
 
         Rays outside the spans of an object certainly miss the object.  Spans may be empty.
+        `bounds` contains the bounding rectangles of all objects of the scene.
         """
 
 
@@ -147,12 +150,12 @@ class Rows(Samples):
         row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
+    def find_spans(self, shape: Shape, bounds: ScreenBounds) -> SampleSpans:
         row_size = self.x.size
         samples_per_x = self.per_pixel[0]
         # Rows are shifted by at most half the distance between two columns, or half a pixel.
         x_range = self.x[0] - 1, self.x[-1] + 1
-        spans = find_object_spans(shape, scene, self.y, x_range, pad=_SPAN_PADDING / samples_per_x)
+        spans = find_object_spans(shape, bounds, self.y, x_range, pad=_SPAN_PADDING / samples_per_x)
         first_x = self.x[0] + self.shift[spans.row]
         # Positions relative to the first sample of the row, in samples.
         left = (spans.left - first_x) * samples_per_x
@@ -215,12 +218,12 @@ class Scattered(Samples):
     ) -> tuple[Shaped[Floats, "k"], Shaped[Floats, "k"]]:
         return self.x[sample_index], self.y[sample_index]
 
-    def find_spans(self, shape: Shape, scene: PreparedScene) -> SampleSpans:
+    def find_spans(self, shape: Shape, bounds: ScreenBounds) -> SampleSpans:
         """Find samples whose rays may meet objects of one shape, as spans of one sample."""
         pixel_row_top = np.floor(self.y[self.pixel_row_start])
         x_range = self.x.min(initial=0), self.x.max(initial=0)
         spans = find_object_spans(
-            shape, scene, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
+            shape, bounds, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
         left_key = _encode_position(spans.row + 1, spans.left)
         right_key = _encode_position(spans.row + 1, spans.right)

@@ -157,7 +157,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     sample_ray_x = samples.compute_ray_x(scene.frame)
     row_ray_y = scene.frame.to_ray_y(samples.y)
     for shape in scene.shapes:
-        spans = samples.find_spans(shape, scene)
+        spans = samples.find_spans(shape, scene.bounds)
         if spans.sample_count is None:
             sample_index = spans.first_sample
         else:
