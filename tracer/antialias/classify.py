@@ -8,8 +8,8 @@ from a light).
 - A cell is *smooth* if no edge crosses it.  Its mean radiance follows from center samples alone.
 - It is *unresolved* if it may contain what the lines that were found do not represent: curved
   edges, narrow highlights, or shadow edges that were not searched for.
-- It is *crowded* if so many edges were found that finding all, and dividing the cell at them, would
-  take longer than sampling it densely.
+- It is *crowded* if very many shadow edges of one light, or very many lines in a scene of many
+  lights, may cross it.  Sampling it densely then takes less time than dividing it at all of them.
 
 The *id* of a sample is an integer that two samples share if they hit the same face of the same
 object, and the same lights are visible from both hits; -1 for the background.
@@ -146,14 +146,14 @@ def classify_cells(
 
 
 class _FoundEdges(NamedTuple):
-    """Lines that represent edges, and the cells in which they do not suffice.
+    """Edges that may cross cells: as lines, or as indices of cells that lines do not represent.
 
-    An index of a cell may be repeated.
+    Indices may be repeated.
     """
 
     lines: Lines
     unresolved_index: Shaped[Ints, "k"]
-    crowded_index: Shaped[Ints, "j"]
+    crowded_index: Shaped[Ints, "j"]  # cells with too many shadow edges of one light
 
 
 def _find_edges_of_surfaces(

@@ -241,13 +241,16 @@ class CellSurfaces(NamedTuple):
             hit_index = visible_hit_index[hidden_index]
             to_hit = take(hidden_hits.from_eye, hidden_index)
             distance = hidden_distance[hidden_index]
-            faces = group.shape.intersect_other_faces(object_index, to_hit, cell_angle)
-            for face_code, item_index, t, radius in faces:
-                face_hit = hit_index[item_index]
-                gap = np.abs(t * distance[item_index] - visible_distance[face_hit])
-                may_meet = gap <= self.footprint_radius[face_hit] + radius
-                yield from self._compare_with_face(
-                    group.shape, face_code, object_index[item_index[may_meet]], face_hit[may_meet]
+            for face in group.shape.intersect_other_faces(object_index, to_hit, cell_angle):
+                front_index = hit_index[face.item_index]
+                face_distance = face.t * distance[face.item_index]
+                gap = np.abs(face_distance - visible_distance[front_index])
+                may_meet = gap <= self.footprint_radius[front_index] + face.footprint_radius
+                yield from self._intersect_with_face(
+                    group.shape,
+                    face.face_code,
+                    object_index[face.item_index[may_meet]],
+                    front_index[may_meet],
                 )
 
     def find_creases(self) -> Iterator[EdgeValues]:
@@ -266,11 +269,11 @@ class CellSurfaces(NamedTuple):
             hit_object = group.repeat_runs(group.run_object)
             for face_code, index_in_group in faces:
                 hit_index = group.interval.start + index_in_group
-                yield from self._compare_with_face(
+                yield from self._intersect_with_face(
                     group.shape, face_code, hit_object[index_in_group], hit_index
                 )
 
-    def _compare_with_face(
+    def _intersect_with_face(
         self,
         shape: Shape,
         face_code: int,

@@ -1,8 +1,8 @@
 """Antialiasing by adaptive subdivision (Whitted 1980): compute the mean radiance of each pixel.
 
-`classify_cells` traces the sample through the center of each cell, and finds the edges that may
-cross the cell (see `classify`, which defines all terms).  These decide how the mean radiance of the
-cell is computed:
+A *cell* is a pixel or a square part of a pixel.  `classify_cells` traces the sample through the
+center of each cell, and finds the edges that may cross the cell (see `classify`).  These decide how
+the mean radiance of the cell is computed:
 
 1. A *smooth* cell shows one face under the same lights.  Its center sample, corrected for the
    curvature of the radiance, is as accurate as a grid of samples.
@@ -201,7 +201,7 @@ class _SampledCells(NamedTuple):
     """What lattices of samples show in n cells."""
 
     mean: Shaped[Floats, "3 n"]  # linear RGB radiance
-    # Whether samples in the same region between the cell's lines have different ids, so that the
+    # Whether samples in one of the regions between the cell's lines have different ids.  Then the
     # lines miss an edge.
     misses_edge: Shaped[Bools, "n"]
 

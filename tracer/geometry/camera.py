@@ -7,8 +7,8 @@ through the position (x, y) of the picture, in pixels from the upper left corner
     ray_x = center_right + (x - width / 2) pixel_width,
     ray_y = center_down + (y - height / 2) pixel_height.
 
-So only `ray_x` changes along a row of the picture.  The *window* is the rectangle in the scene that
-the picture shows.  Positions and lengths in the picture are in pixels; x points right, y down.
+So only `ray_x` changes along a row of the picture.  The *window* is the rectangle in the scene on
+which the pixels lie.  Positions and lengths in the picture are in pixels; x points right, y down.
 """
 
 from __future__ import annotations
@@ -63,25 +63,27 @@ class CameraFrame(NamedTuple):
     def project_onto_axis(
         self, vectors: Shaped[Triple, "... n"], axis: int
     ) -> Shaped[Floats, "... n"]:
-        """Compute the components, along one axis of the scene, of vectors in camera axes.
+        """Convert vectors from camera axes to scene axes, but compute only one component.
 
-        The axis is 0 for x, 1 for y and 2 for z.
+        The axis of the scene is 0 for x, 1 for y and 2 for z.
         """
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vectors, (right, down, ahead))
 
     def to_ray_x(self, x: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
+        """Compute the rightward components of the rays through positions in the picture."""
         return self.center_right + (x - self.width / 2) * self.pixel_width
 
     def to_ray_y(self, y: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
+        """Compute the downward components of the rays through positions in the picture."""
         return self.center_down + (y - self.height / 2) * self.pixel_height
 
     def to_picture_x(self, ray_x: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Invert `to_ray_x`."""
+        """Compute the positions in the picture of rays with these rightward components."""
         return (ray_x - self.center_right) / self.pixel_width + self.width / 2
 
     def to_picture_y(self, ray_y: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Invert `to_ray_y`."""
+        """Compute the positions in the picture of rays with these downward components."""
         return (ray_y - self.center_down) / self.pixel_height + self.height / 2
 
     @property
@@ -94,7 +96,7 @@ class CameraFrame(NamedTuple):
 def compute_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """Compute the eye, the axes and the pixel grid that determine a camera's rays.
+    """Compute the rays of a camera for a picture that is `width` x `height` pixels large.
 
     Every ray is shifted by `offset` to the right and down, in pixels.  The formulas are those of
     Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
@@ -107,7 +109,8 @@ def compute_frame(
     right = normalize(np.cross(normalize(camera.view_up), back))
     up = np.cross(back, right)
     window_center = camera.proj_distance * view_direction
-    pixel_width, pixel_height = camera.view_width / width, camera.view_height / height
+    pixel_width = camera.view_width / width
+    pixel_height = camera.view_height / height
     return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([right, -up, -back]),

@@ -22,7 +22,9 @@ from tracer.arrays import Floats, Sides, Triple, dot, map_xyz
 _EPSILON = float(np.finfo(np.float64).eps)
 
 # Sides of a surface: the sign of the height of a point above the surface.
-OUTSIDE, ON, INSIDE = 1, 0, -1
+OUTSIDE = 1
+ON = 0
+INSIDE = -1
 
 # A hit counts as on a surface if its distance from the surface is at most this fraction of the
 # lengths from which the hit was computed.  About twenty operations, each with an error of at most 2
