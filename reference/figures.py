@@ -1,4 +1,8 @@
-"""Measure how much two pictures differ in linear light, and draw the difference."""
+"""Measure how much two pictures differ in linear light, and draw the difference.
+
+*Linear light* is a number from 0 to 1, of which a picture file stores the gamma-encoded 8-bit code.
+SSIM is the structural similarity of two pictures, which is 1 if they are equal.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +24,25 @@ Differences: TypeAlias = NDArray[np.float32]
 
 GAMMA = 2.2
 """Exponent of the gamma encoding of 8-bit pictures in the scene format."""
+LARGE_DIFFERENCE = "1e-3"
+"""Pixels that differ by more than this in linear light are counted; as text for reports."""
+PERCENTILE = 99.9
+"""Percentile of the pixels' differences that is reported, and that limits their amplification."""
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
 _SSIM_SIDE = 7
-# Large pictures are compared in bands of rows, of at most about this number of pixels each.  The
-# comparison of a band takes about 100 bytes of memory per pixel.
+# Maximum number of pixels, approximately, in a band of rows that is compared or drawn at once.
+# Comparing takes about 100 bytes of memory per pixel.
 _PIXELS_PER_BAND = 500_000
-# Pixels that differ by more than this in linear light are counted.
-_LARGE_DIFFERENCE = 1e-3
-# Percentile of the pixels' differences that is reported, and that limits their amplification.
-_PERCENTILE = 99.9
 # Pictures are enlarged, pixel by pixel, to panels at least this many pixels wide or high.
 _MIN_PANEL_SIDE = 300
 # Distance between panels in pixels.
 _MARGIN = 8
 # Height of a line of text in pixels.
 _LABEL_HEIGHT = 24
+# Distance between a picture and the line of text below it in pixels.
+_LEGEND_GAP = 4
 # Size of the text in pixels.
 _FONT_SIZE = 14
 # 8-bit colour of the background.
@@ -59,23 +65,22 @@ def decode_to_linear(codes: Shaped[NDArray[Any], "..."]) -> Shaped[Floats, "..."
 class Metrics:
     """Measures of the difference between two pictures, in linear light.
 
-    The difference of a pixel is the largest absolute difference of its three channels.  Excluded
-    pixels affect only the structural similarity.
+    The difference of a pixel is the largest absolute difference of its three channels.
     """
 
-    ssim: float  # structural similarity of the gamma-encoded pictures; 1 if they are equal
+    ssim: float
     max: float
-    percentile: float  # the `_PERCENTILE`-th
-    rmse: float  # of all channels
+    percentile: float  # the `PERCENTILE`-th percentile of the pixels' differences
+    rmse: float  # root mean square difference of all channels
     median: float
-    differing_count: int  # number of pixels that differ by more than `_LARGE_DIFFERENCE`
+    differing_count: int  # number of pixels that differ by more than `LARGE_DIFFERENCE`
 
     def __str__(self) -> str:
         """Format all measures as one line of text."""
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e},"
-            f" 99.9% {self.percentile:.1e}, median {self.median:.1e}, RMSE {self.rmse:.1e},"
-            f" pixels over 1e-3: {self.differing_count}"
+            f" {PERCENTILE}% {self.percentile:.1e}, median {self.median:.1e}, RMSE {self.rmse:.1e},"
+            f" pixels over {LARGE_DIFFERENCE}: {self.differing_count}"
         )
 
 
@@ -86,49 +91,63 @@ def measure_differences(
 ) -> Metrics:
     """Measure how much two pictures differ in linear radiance.
 
-    Raise ValueError if the shapes differ, a value is not finite, or every pixel is excluded.
+    Pixels that are marked in `is_excluded` are left out of all measures except the SSIM.  Raise
+    ValueError if the shapes of the pictures differ, if a value is not finite, or if every pixel is
+    excluded.
     """
     shape = first_image.shape
-    images = first_image, second_image
     if shape != second_image.shape:
         raise ValueError(f"the pictures' shapes differ: {shape} and {second_image.shape}")
-    if not all(np.isfinite(image).all() for image in images):
+    if not (np.isfinite(first_image).all() and np.isfinite(second_image).all()):
         raise ValueError("a picture contains values that are not finite")
     is_compared = np.ones(shape[:2], dtype=np.bool_) if is_excluded is None else ~is_excluded
     if not is_compared.any():
         raise ValueError("every pixel is excluded")
-    padding = [(0, max(_SSIM_SIDE - size, 0)) for size in shape[:2]] + [(0, 0)]
-    encoded_pair = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in images]
-    padded_pair = [np.pad(image, padding, mode="edge") for image in encoded_pair]
-    ssim = structural_similarity(*padded_pair, win_size=_SSIM_SIDE, channel_axis=2, data_range=1.0)
     channel_difference = np.abs(first_image - second_image)[is_compared]
     pixel_difference = channel_difference.max(axis=1)
     return Metrics(
-        ssim=float(ssim),
+        ssim=_compute_ssim(first_image, second_image),
         max=float(pixel_difference.max()),
-        percentile=float(np.percentile(pixel_difference, _PERCENTILE)),
+        percentile=float(np.percentile(pixel_difference, PERCENTILE)),
         rmse=float(np.sqrt(np.mean(channel_difference**2))),
         median=float(np.median(pixel_difference)),
-        differing_count=int(np.count_nonzero(pixel_difference > _LARGE_DIFFERENCE)),
+        differing_count=int(np.count_nonzero(pixel_difference > float(LARGE_DIFFERENCE))),
     )
+
+
+def _compute_ssim(
+    first_image: Shaped[Floats, "height width 3"], second_image: Shaped[Floats, "height width 3"]
+) -> float:
+    """Compute the SSIM of two pictures in linear light, after encoding them with gamma.
+
+    Pictures smaller than a window are extended by repeating their last row and column.
+    """
+    height, width, _ = first_image.shape
+    padding = (0, max(_SSIM_SIDE - height, 0)), (0, max(_SSIM_SIDE - width, 0)), (0, 0)
+    padded_pair = []
+    for image in (first_image, second_image):
+        encoded_image = image.clip(0, 1).astype(np.float32) ** (1 / GAMMA)
+        padded_pair.append(np.pad(encoded_image, padding, mode="edge"))
+    ssim = structural_similarity(*padded_pair, win_size=_SSIM_SIDE, channel_axis=2, data_range=1.0)
+    return float(ssim)
 
 
 class Comparison(NamedTuple):
     """How much two gamma-encoded pictures, A and B, differ in linear light."""
 
-    ssim: float  # structural similarity; 1 if they are equal
-    rmse: float  # of all channels
+    ssim: float
+    rmse: float  # root mean square difference of all channels
     maximum: float  # of the absolute differences of all channels
-    # Difference of each pixel in the channel that differs most; positive if A is brighter.
+    # Difference of each pixel in the channel that differs most; positive where A is brighter.
     difference: Shaped[Differences, "height width"]
 
 
 def compare_codes(
     codes_a: Shaped[Codes, "height width 3"], codes_b: Shaped[Codes, "height width 3"]
 ) -> Comparison:
-    """Measure how much two gamma-encoded pictures differ in linear light.
+    """Measure how much two gamma-encoded pictures of equal size differ in linear light.
 
-    Large pictures are compared in bands, with the same result.
+    Large pictures are compared in bands of rows, to save memory.  The result is the same.
     """
     height, width, _ = codes_a.shape
     window_margin = _SSIM_SIDE - 1
@@ -141,12 +160,11 @@ def compare_codes(
         # Windows whose top row is in the band may extend below it.
         rows = slice(band_start, band_start + band_height + window_margin)
         light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
-        metrics = measure_differences(light_a, light_b)
         # The bands' similarities are weighted by the number of windows that begin in them.
         weight = max(0, min(band_height, top_row_count - band_start)) / top_row_count
-        ssim += weight * metrics.ssim
-        maximum = max(maximum, metrics.max)
+        ssim += weight * _compute_ssim(light_a, light_b)
         channel_difference = (light_a - light_b)[:band_height]
+        maximum = max(maximum, float(np.abs(channel_difference).max()))
         sum_of_squares += float((channel_difference**2).sum())
         difference_bands.append(get_largest_difference(channel_difference))
     return Comparison(
@@ -165,33 +183,62 @@ def write_comparison(
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
-    The difference is in linear radiance, positive if the left picture is brighter.  Small pictures
-    are enlarged, so that each pixel becomes a square, and long titles are cut off.  An existing
-    file is replaced only if it is a PNG file.  Raise OSError if the file cannot be written.
+    An existing file is replaced only if it is a PNG file.  Raise OSError if the file cannot be
+    written.
+
+    Parameters
+    ----------
+    images
+        The left and the right picture.  Small pictures are enlarged: each pixel becomes a square.
+    difference
+        In linear radiance, positive where the left picture is brighter.
+    titles
+        Texts above the pictures.  What does not fit is cut off.
     """
     difference_codes, gain = amplify_difference(difference)
-    panel_titles = (*titles, f"difference, {gain:,.10g} times" if gain else "no difference")
-    legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
+    difference_title = f"difference, {gain:,.10g} times" if gain else "no difference"
+    legend = "orange: the left is brighter, blue: it is darker" if gain else ""
+    panels = [
+        _Panel(codes=images[0], title=titles[0], legend=""),
+        _Panel(codes=images[1], title=titles[1], legend=""),
+        _Panel(codes=difference_codes, title=difference_title, legend=legend),
+    ]
     height, width = difference.shape
     zoom = -(-_MIN_PANEL_SIDE // max(width, height))
     panel_width = max(zoom * width, _MIN_PANEL_SIDE)  # wide enough for a title
-    picture_top = _MARGIN + _LABEL_HEIGHT
-    size = 3 * panel_width + 4 * _MARGIN, picture_top + zoom * height + _LABEL_HEIGHT + _MARGIN
-    sheet = Image.new("RGB", size, _PAPER_COLOR)
-    font = ImageFont.load_default(size=_FONT_SIZE)
-    band_height = max(1, _PIXELS_PER_BAND // width)
-    panels = zip((*images, difference_codes), panel_titles, legends, strict=True)
-    for panel_index, (codes, title, legend) in enumerate(panels):
-        panel_left = _MARGIN + panel_index * (panel_width + _MARGIN)
-        for text, y in ((title, _MARGIN), (legend, picture_top + zoom * height + 4)):
-            label = Image.new("RGB", (panel_width, _LABEL_HEIGHT), _PAPER_COLOR)
-            ImageDraw.Draw(label).text((0, 0), text, fill=_INK_COLOR, font=font)
-            sheet.paste(label, (panel_left, y))
-        for start in range(0, height, band_height):
-            enlarged = codes[start : start + band_height].repeat(zoom, axis=0).repeat(zoom, axis=1)
-            sheet.paste(Image.fromarray(enlarged), (panel_left, picture_top + zoom * start))
+    panel_height = _LABEL_HEIGHT + zoom * height + _LABEL_HEIGHT
+    sheet_size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
+    sheet = Image.new("RGB", sheet_size, _PAPER_COLOR)
+    for panel_index, panel in enumerate(panels):
+        left = _MARGIN + panel_index * (panel_width + _MARGIN)
+        _paste_panel(sheet, panel, left, panel_width, zoom)
     with open_atomically(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
+
+
+class _Panel(NamedTuple):
+    """A picture with texts above and below it."""
+
+    codes: Shaped[Codes, "height width 3"]
+    title: str
+    legend: str
+
+
+def _paste_panel(sheet: Image.Image, panel: _Panel, left: int, width: int, zoom: int) -> None:
+    """Draw a panel on a sheet: its title, its picture enlarged `zoom` times, and its legend."""
+    picture_height, picture_width, _ = panel.codes.shape
+    picture_top = _MARGIN + _LABEL_HEIGHT
+    legend_top = picture_top + zoom * picture_height + _LEGEND_GAP
+    font = ImageFont.load_default(size=_FONT_SIZE)
+    for text, top in ((panel.title, _MARGIN), (panel.legend, legend_top)):
+        label = Image.new("RGB", (width, _LABEL_HEIGHT), _PAPER_COLOR)
+        ImageDraw.Draw(label).text((0, 0), text, fill=_INK_COLOR, font=font)
+        sheet.paste(label, (left, top))
+    band_height = max(1, _PIXELS_PER_BAND // picture_width)
+    for start in range(0, picture_height, band_height):
+        band = panel.codes[start : start + band_height]
+        enlarged = band.repeat(zoom, axis=0).repeat(zoom, axis=1)
+        sheet.paste(Image.fromarray(enlarged), (left, picture_top + zoom * start))
 
 
 def get_largest_difference(
@@ -206,14 +253,14 @@ def get_largest_difference(
 def amplify_difference(
     difference: Shaped[Differences, "height width"],
 ) -> tuple[Shaped[Codes, "height width 3"], float]:
-    """Amplify the difference between two pictures, and return it in colour, and the gain.
+    """Amplify a difference between two pictures, and return it as a colour picture, and the gain.
 
-    The colour is orange where the first picture is brighter (the difference is positive), and blue
-    where it is darker.  The gain is 1, 2 or 5 times a power of ten, normally the largest that clips
-    at most 0.1 % of the pixels.  It is 0 if the pictures are equal.
+    The colour is orange where the difference is positive, and blue where it is negative.  The gain
+    is 1, 2 or 5 times a power of ten.  It is the largest for which the `PERCENTILE`-th percentile
+    of the pixels' differences is not clipped, or 0 if all differences are 0.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
-    max_shown_difference = float(np.percentile(np.abs(difference), _PERCENTILE))
+    max_shown_difference = float(np.percentile(np.abs(difference), PERCENTILE))
     # If fewer pixels than those above the percentile differ, show the largest difference.
     max_shown_difference = max_shown_difference or float(np.abs(difference).max())
     if max_shown_difference == 0:

@@ -34,7 +34,12 @@ from reference.command import (
     list_scene_files,
     make_parser,
 )
-from reference.figures import amplify_difference, get_largest_difference
+from reference.figures import (
+    LARGE_DIFFERENCE,
+    PERCENTILE,
+    amplify_difference,
+    get_largest_difference,
+)
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
@@ -123,8 +128,9 @@ def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
         notes=remarks if is_good else [],
         figures=(
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
-            ("99.9th percentile", f"{metrics.percentile:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
-            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.differing_count),
+            (f"{PERCENTILE}th percentile", f"{metrics.percentile:.2e}"),
+            ("RMSE", f"{metrics.rmse:.2e}"), ("median", f"{metrics.median:.2e}"),
+            (f"pixels over {LARGE_DIFFERENCE}", metrics.differing_count),
             ("edge pixels excluded", result.differs_at_edge.sum()),
             ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),

@@ -5,7 +5,7 @@ tracer except the description of the scene, so that the two can be compared.  Al
 format are repeated here on purpose: a reference that shares code with what it validates would
 repeat its errors.
 
-The number type can be chosen:
+`render` makes a picture, and `trace` traces single rays.  The number type can be chosen:
 
 - Decimal numbers of 80 digits make this renderer the *oracle*.  The numbers of a scene have 16
   digits, so lengths that agree to 50 digits are treated as equal.  Therefore contacts and ties are
@@ -29,7 +29,7 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal
 from itertools import chain
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,13 +44,21 @@ Roots: TypeAlias = tuple[Array, Array]
 
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
-ARITHMETICS: dict[str, tuple[Callable[[Any], Any], float]] = {
-    "float64": (np.float64, 0),
-    "float32": (np.float32, 0),
-    "decimal": (np.frompyfunc(Decimal, 1, 1), 1e-50),
+
+class Arithmetic(NamedTuple):
+    """A type of numbers."""
+
+    convert: Callable[[Any], Any]  # converts numbers and arrays to this type
+    # Maximum length that is treated as 0, relative to the scene's largest coordinate.
+    relative_tolerance: float
+
+
+ARITHMETICS = {
+    "float64": Arithmetic(convert=np.float64, relative_tolerance=0),
+    "float32": Arithmetic(convert=np.float32, relative_tolerance=0),
+    "decimal": Arithmetic(convert=np.frompyfunc(Decimal, 1, 1), relative_tolerance=1e-50),
 }
-"""For each number type, the function that converts numbers to it, and the maximum length that is
-treated as 0, relative to the scene's largest coordinate."""
+"""The number types by name."""
 
 
 def _dot(a: Shaped[Array, "3 ..."], b: Shaped[Array, "3 ..."]) -> Any:
@@ -116,9 +124,10 @@ def intersect_by_expansion(
     with the square of the distance between origin and sphere, and with the squares of their
     distances from the point (0, 0, 0).
     """
-    distance2 = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
+    squared_distance = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
     linear_coef = 2 * (_dot(origin, direction) - _dot(center, direction))
-    return _solve_quadratics(_dot(direction, direction), linear_coef, distance2 - radius * radius)
+    constant_term = squared_distance - radius * radius
+    return _solve_quadratics(_dot(direction, direction), linear_coef, constant_term)
 
 
 def _solve_quadratics(
@@ -134,35 +143,51 @@ SPHERE_METHODS = {
     "textbook": intersect_by_formula,
     "expanded": intersect_by_expansion,
 }
-"""Methods of intersecting rays with a sphere."""
+"""Functions that intersect rays with a sphere, by name."""
 
-SHADOW_METHODS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
-    "exact": lambda point, normal: (point, 0),
-    "t>0": lambda point, normal: (point, 0),
-    "t>1e-4": lambda point, normal: (point, 1e-4),
-    "t>1e-6": lambda point, normal: (point, 1e-6),
-    "normal": lambda point, normal: (point + 1e-4 * normal, 0),
-    # Wächter and Binder (A Fast and Robust Method for Avoiding Self-Intersection, Ray Tracing Gems,
-    # chapter 6), with their constants.
-    "ulps": lambda point, normal: (
-        point
-        + normal * np.where(np.abs(point) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(point))),
-        0,
-    ),
+
+def keep_origin(point: Shaped[Array, "3 n"], normal: Shaped[Array, "3 n"]) -> Shaped[Array, "3 n"]:
+    """Start shadow rays at the points themselves."""
+    return point
+
+
+def move_along_normal(
+    point: Shaped[Array, "3 n"], normal: Shaped[Array, "3 n"]
+) -> Shaped[Array, "3 n"]:
+    """Start shadow rays at a constant height above the surface."""
+    return np.asarray(point + 1e-4 * normal)
+
+
+def move_by_ulps(point: Shaped[Array, "3 n"], normal: Shaped[Array, "3 n"]) -> Shaped[Array, "3 n"]:
+    """Start shadow rays at a height that grows with the coordinates, as their rounding errors do.
+
+    The constants are those of Wächter and Binder (A Fast and Robust Method for Avoiding
+    Self-Intersection, Ray Tracing Gems, chapter 6).
+    """
+    size = np.abs(point)
+    return np.asarray(point + normal * np.where(size < 1 / 32, 1 / 65536, 256 * np.spacing(size)))
+
+
+class ShadowMethod(NamedTuple):
+    """A method of keeping a surface from shading its own points."""
+
+    # Computes the origins of shadow rays from points of surfaces and their unit normals.
+    move_origin: Callable[[Array, Array], Array]
+    epsilon: float  # distance from the origin within which intersections are ignored
+    # Whether shadow rays skip the object from which they start.  This is exact, because all objects
+    # are convex.
+    skips_own_object: bool = False
+
+
+SHADOW_METHODS = {
+    "exact": ShadowMethod(move_origin=keep_origin, epsilon=0, skips_own_object=True),
+    "t>0": ShadowMethod(move_origin=keep_origin, epsilon=0),
+    "t>1e-4": ShadowMethod(move_origin=keep_origin, epsilon=1e-4),
+    "t>1e-6": ShadowMethod(move_origin=keep_origin, epsilon=1e-6),
+    "normal": ShadowMethod(move_origin=move_along_normal, epsilon=0),
+    "ulps": ShadowMethod(move_origin=move_by_ulps, epsilon=0),
 }
-"""Methods of keeping a surface from shading its own points.  From points and normals (3, n), each
-computes the origins (3, n) of shadow rays, and the distance within which to ignore intersections.
-
-The first method also skips the point's own object.  This is exact, because all objects are convex.
-"""
-
-
-_DEFAULTS = {
-    "arithmetic": "float64",
-    "sphere_method": "closest",
-    "shadow_method": "exact",
-    "ties": "first",
-}
+"""Methods of keeping a surface from shading its own points, by name."""
 
 
 class TracedRays(NamedTuple):
@@ -174,6 +199,55 @@ class TracedRays(NamedTuple):
     is_lit: Shaped[NDArray[np.bool_], "lights rays"]
 
 
+def trace(
+    scene: Scene,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    arithmetic: Literal["float64", "float32", "decimal"] = "float64",
+    sphere_method: Literal["closest", "textbook", "expanded"] = "closest",
+    shadow_method: Literal["exact", "t>0", "t>1e-4", "t>1e-6", "normal", "ulps"] = "exact",
+    ties: Literal["first", "last"] = "first",
+) -> TracedRays:
+    """Trace a camera ray through each of n positions, and test it against every object.
+
+    Raise KeyError if the name of a method is unknown.
+
+    Parameters
+    ----------
+    x, y
+        Positions in the picture, in pixels right and down from its upper left corner.  The first
+        pixel has its centre at (0.5, 0.5).
+    arithmetic
+        The number type.  "decimal" has 80 digits.
+    sphere_method
+        How to intersect rays with spheres: accurately, by the quadratic formula of textbooks, or by
+        an expanded form of it.
+    shadow_method
+        How to keep surfaces from shading their own points: by ignoring the object from which a
+        shadow ray starts, by ignoring intersections within a distance t, or by moving the start of
+        the ray along the normal by 1e-4 or by some units in the last place.
+    ties
+        Which of several equally close surfaces is visible: the first or the last in the scene file.
+    """
+    with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
+        tracer = _PlainTracer(scene, arithmetic, sphere_method, shadow_method, ties)
+        return tracer.trace(np.asarray(x), np.asarray(y))
+
+
+def render(
+    scene: Scene, offset: Sequence[float] = (0, 0), **methods: Any
+) -> Shaped[Array, "height width 3"]:
+    """Render a scene with one sample per pixel, in linear RGB.
+
+    Every ray is tested against every object.  All samples are shifted from the centres of their
+    pixels by `offset`, in pixels right and down.  `methods` are keyword arguments of `trace`.
+    """
+    y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
+    traced = trace(scene, x + offset[0], y + offset[1], **methods)
+    return traced.radiance.reshape(scene.height, scene.width, 3)
+
+
 class _PlainTracer:
     """A scene converted to one number type, with methods to trace rays through it."""
 
@@ -181,9 +255,7 @@ class _PlainTracer:
     surfaces: Sequence[Box | Sphere]
     to_precision: Callable[[Any], Any]  # converts numbers and arrays to the number type
     intersect_sphere: Callable[[Array, Array, Array, Array], Roots]
-    start_shadow_rays: Callable[[Array, Array], tuple[Array, float]]
-    # Whether shadow rays skip the surface from which they start (method "exact").
-    skips_own_object: bool
+    shadow_method: ShadowMethod
     # Whether the last of several equally close surfaces is visible, instead of the first.
     last_wins_ties: bool
     eye: Shaped[Array, "3 1"]
@@ -202,26 +274,24 @@ class _PlainTracer:
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and select methods (see the function `trace`).
-
-        Raise KeyError if a method is unknown.
-        """
+        """Convert a scene to a number type, and select methods (see the function `trace`)."""
         to_precision, relative_tolerance = ARITHMETICS[arithmetic]
         self.scene = scene
         self.surfaces = scene.surfaces[:]
         self.to_precision = to_precision
-        self.skips_own_object = shadow_method == "exact"
-        self.last_wins_ties = ties == "last"
+        self.last_wins_ties = {"first": False, "last": True}[ties]
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
-        self.start_shadow_rays = SHADOW_METHODS[shadow_method]
+        self.shadow_method = SHADOW_METHODS[shadow_method]
         self.eye = to_precision(scene.camera.view_point)[:, None]
         self.light_positions = [to_precision(light.position)[:, None] for light in scene.lights]
         self.is_sphere = [isinstance(surface, Sphere) for surface in self.surfaces]
-        shapes = [
-            (each.center, [each.radius]) if isinstance(each, Sphere) else (each.min_pt, each.max_pt)
-            for each in self.surfaces
-        ]
-        self.shapes = [[to_precision(numbers)[:, None] for numbers in shape] for shape in shapes]
+        self.shapes = []
+        for each in self.surfaces:
+            if isinstance(each, Sphere):
+                shape: tuple[ArrayLike, ArrayLike] = each.center, [each.radius]
+            else:
+                shape = each.min_pt, each.max_pt
+            self.shapes.append([to_precision(numbers)[:, None] for numbers in shape])
         lengths = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
         self.relative_tolerance = to_precision(relative_tolerance)
         self.scene_size = max(np.abs(array).max() for array in lengths)
@@ -233,8 +303,8 @@ class _PlainTracer:
     def snap_to_zero(self, values: Shaped[Array, "..."], scale: Any) -> Shaped[Array, "..."]:
         """Replace decimal values with 0 where they are at most 1e-50 times a scale.
 
-        The scale is a number, or an array that broadcasts.  Other number types stay as they are,
-        and the result may be `values` itself.
+        The scale is a number, or an array that broadcasts.  Values of float types are returned as
+        they are, not copied.
         """
         if not self.relative_tolerance:
             return values
@@ -323,6 +393,7 @@ class _PlainTracer:
         """
         direction = self.compute_ray_directions(x, y)
         closest_t, visible_index = self.find_closest_hits(direction)
+        # From here on, only rays that hit a surface.
         ray_index = np.flatnonzero(visible_index >= 0)
         own_index = visible_index[ray_index]
         direction = direction.take(ray_index, 1)
@@ -385,7 +456,10 @@ class _PlainTracer:
     def project_onto_surface(
         self, surface_index: int, points: Shaped[Array, "3 n"], direction: Shaped[Array, "3 n"]
     ) -> tuple[Shaped[Array, "3 n"], Shaped[Array, "3 n"]]:
-        """Do the same as `project_hits` for hits of one surface; `points` may be changed."""
+        """Move hits of one surface exactly onto it, and compute the unit normals there.
+
+        `direction` is that of the camera rays.  `points` may be changed in place.
+        """
         is_eye_inside, shape = self.is_eye_inside[surface_index], self.shapes[surface_index]
         if self.is_sphere[surface_index]:
             center, (radius,) = shape
@@ -418,9 +492,9 @@ class _PlainTracer:
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
         for occluder_index, is_eye_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            ray_origin, epsilon = self.start_shadow_rays(points[:, index], normals[:, index])
-            is_blocked = self.is_blocking(occluder_index, ray_origin, light, epsilon)
-            if self.skips_own_object:
+            ray_origin = self.shadow_method.move_origin(points[:, index], normals[:, index])
+            is_blocked = self.is_blocking(occluder_index, ray_origin, light)
+            if self.shadow_method.skips_own_object:
                 # A surface shades its own points only if it contains the eye, but not the light.
                 is_own = own_index[index] == occluder_index
                 is_blocked[is_own] = (
@@ -430,20 +504,17 @@ class _PlainTracer:
         return is_lit
 
     def is_blocking(
-        self,
-        surface_index: int,
-        points: Shaped[Array, "3 n"],
-        light: Shaped[Array, "3 1"],
-        epsilon: float,
+        self, surface_index: int, points: Shaped[Array, "3 n"], light: Shaped[Array, "3 1"]
     ) -> Shaped[NDArray[np.bool_], "n"]:
         """Test whether a surface blocks the segment from each point to a light.
 
-        Intersections at the ends of the segment, or within `epsilon` of the point, do not count.
+        Intersections at the ends of the segment do not count, nor those so close to the point that
+        the shadow method ignores them.
         """
         distance = _norm(light - points)
         direction = (light - points) / distance
         direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
-        min_t = self.to_precision(epsilon) + self.tolerance
+        min_t = self.to_precision(self.shadow_method.epsilon) + self.tolerance
         max_t = distance - self.tolerance
 
         def is_between(t: Array) -> Any:
@@ -451,7 +522,8 @@ class _PlainTracer:
 
         near, far = self.intersect(surface_index, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
-        if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface_index]:
+        is_exact = self.relative_tolerance and self.shadow_method.skips_own_object
+        if is_exact and self.is_sphere[surface_index]:
             # One intersection is known exactly if the light or the point is on the sphere.  The
             # other follows from symmetry: t = middle_t is halfway between them.
             middle_t = _dot(self.shapes[surface_index][0] - points, direction)
@@ -490,38 +562,3 @@ class _PlainTracer:
             cosine_power = clamped_cosine**exponent if exponent else np.ones(clamped_cosine.size)
             radiance += np.outer(cosine_power.astype(float), shader.specular)
         return radiance
-
-
-def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRays:
-    """Trace a camera ray through each of n positions, and test it against every object.
-
-    Parameters
-    ----------
-    x, y
-        Positions in the picture, in pixels right and down from its upper left corner.  The first
-        pixel has its centre at (0.5, 0.5).
-    **methods
-        `arithmetic`: the number type, a key of `ARITHMETICS`; by default "float64".
-        `sphere_method`: how to intersect rays with spheres, a key of `SPHERE_METHODS`; by default
-        "closest".
-        `shadow_method`: how to keep surfaces from shading their own points, a key of
-        `SHADOW_METHODS`; by default "exact".
-        `ties`: which of several equally close surfaces is visible, the "first" or the "last" in the
-        scene file; by default "first".
-        An unknown key raises KeyError.
-    """
-    with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
-        return _PlainTracer(scene, **_DEFAULTS | methods).trace(np.asarray(x), np.asarray(y))
-
-
-def render(
-    scene: Scene, offset: Sequence[float] = (0, 0), **methods: str
-) -> Shaped[Array, "height width 3"]:
-    """Render a scene with one sample per pixel, in linear RGB.
-
-    Every ray is tested against every object.  All samples are shifted from the centres of their
-    pixels by `offset`, in pixels right and down.  For the methods see `trace`.
-    """
-    y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
-    traced = trace(scene, x + offset[0], y + offset[1], **methods)
-    return traced.radiance.reshape(scene.height, scene.width, 3)

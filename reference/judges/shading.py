@@ -1,11 +1,22 @@
-"""Enclose the radiance that faces reflect in cells of the picture, light by light.
+"""Bound the radiance that faces reflect in cells of the picture, light by light.
 
-Pairs, settled lights and triples are defined in `cells`, and visible points in `cell_analysis`.
+A face reflects the intensity of a light times
+
+    diffuse n.l + specular (n.h)^exponent.
+
+Here n is the unit normal, l and v are the unit vectors to the light and to the eye, and h is the
+unit vector halfway between l and v.  All these vary with the position in the cell.  Polynomials
+with error bounds (see `enclosures`) enclose n.l, n.h and the radiance.
+
+Positions are relative to the eye.  The camera ray with direction d meets the face at p = t d, and
+the light is at q.  All lengths are divided by t, because 1 / t has a narrow enclosure (see
+`cell_analysis`).  Pairs, settled lights and triples are defined in `cells`.
 """
 
 from __future__ import annotations
 
 from typing import Annotated as Shaped
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,15 +37,16 @@ def shade(
 
     A light is settled if no terminator or shadow edge of the light can cross the cell, and the
     error of its radiance, in each channel, is at most `permitted_error` divided by the number of
-    lights.  Its radiance is then added to `analysis.cells.radiance`.  Return the radiance that each
-    remaining unsettled light adds to each requested pair.
+    lights.  The radiance of settled lights is added to `analysis.cells.radiance`.  The result has
+    the radiance that each light that is still unsettled adds to each requested pair.
     """
     contributions = _enclose_contributions(analysis, is_requested)
     cells = analysis.cells
     has_edge = np.zeros_like(cells.is_settled)
     has_edge[cells.shadow_triples[0], cells.shadow_triples[1]] = True
     for pair_index, light_index, _ in analysis.edges:
-        has_edge[pair_index[light_index >= 0], light_index[light_index >= 0]] = True
+        is_of_light = light_index >= 0
+        has_edge[pair_index[is_of_light], light_index[is_of_light]] = True
     max_light_error = permitted_error / cells.is_settled.shape[1]
     is_newly_settled = ~has_edge[contributions.pair_index, contributions.light_index]
     is_newly_settled &= contributions.radiance.max_deviation.max(axis=0) <= max_light_error
@@ -47,38 +59,21 @@ def shade(
 def _enclose_contributions(
     analysis: CellAnalysis, is_requested: Shaped[Bools, "pairs"]
 ) -> Contributions:
-    """Enclose the radiance that lit points of a face reflect from each unsettled light."""
+    """Enclose the radiance that each unsettled light adds to each requested pair.
+
+    The radiance is that of points that the light reaches.  Whether an object blocks the light is
+    not tested.
+    """
     faces, cells, scene = analysis.faces, analysis.cells, analysis.faces.prepared_scene
     pair_index, light_index = np.nonzero(~cells.is_settled & is_requested[:, None])
-    cell_index = cells.cell_index[pair_index]
-    object_index = faces.object_index[cells.face_index[pair_index]]
-    light_position = faces.light_position[light_index].T
-    squared_ray_length = analysis.squared_ray_length[cell_index]
-    # The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
-    # divided by t, and squared lengths by t^2.  For a light at q, this gives
-    #     |q - p|^2 = d^2 - 2 q.d / t + q^2 / t^2  and  (q - p).(-p) = d^2 - q.d / t.
-    q_dot_d = analysis.dot_with_rays(light_position, cell_index)
-    q_dot_d_over_t = analysis.inverse_distance[pair_index] * q_dot_d
-    inverse_distance2 = (analysis.inverse_distance * analysis.inverse_distance)[pair_index]
-    light_distance2 = squared_ray_length - q_dot_d_over_t * 2.0
-    light_distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
-    inverse_light_distance = light_distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
-    light_height = analysis.enclose_functions(
-        analysis.express_light_height(pair_index, light_index)
-    )
-    n_dot_l = (light_height * inverse_light_distance).fall_back_to_unit_interval()
+    terms = _enclose_light_terms(analysis, pair_index, light_index)
     intensity = faces.prepared_lights.intensity[light_index].T
-    radiance = n_dot_l.coefficients[:, None] * (intensity * scene.diffuse[:, object_index])
+    object_index = faces.object_index[cells.face_index[pair_index]]
+    radiance = terms.n_dot_l.coefficients[:, None] * (intensity * scene.diffuse[:, object_index])
     # Only glossy faces have a highlight.
     glossy_index = np.flatnonzero(scene.is_glossy[object_index])
     glossy_object_index = object_index[glossy_index]
-    n_dot_h = _enclose_n_dot_h(
-        analysis,
-        pair_index[glossy_index],
-        n_dot_l[glossy_index],
-        inverse_light_distance[glossy_index],
-        (squared_ray_length - q_dot_d_over_t)[glossy_index],
-    )
+    n_dot_h = _enclose_n_dot_h(analysis, pair_index[glossy_index], terms.take(glossy_index))
     exponent = scene.exponent[glossy_object_index]
     cosine_power = n_dot_h.power(exponent, 0.0, 1.0).fall_back_to_unit_interval()
     specular = intensity[:, glossy_index] * scene.specular[:, glossy_object_index]
@@ -88,26 +83,56 @@ def _enclose_contributions(
     )
 
 
-def _enclose_n_dot_h(
-    analysis: CellAnalysis,
-    pair_index: Shaped[Ints, "n"],
-    n_dot_l: Enclosures,
-    inverse_light_distance: Enclosures,
-    light_dot_eye: Enclosures,
-) -> Enclosures:
-    """Enclose n.h (8, n) at the visible point, for some pairs and lights, sorted by pair.
+class _LightTerms(NamedTuple):
+    """Enclosures (8, n) of terms that depend on a light and on the point that the eye sees."""
 
-    Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the unit
-    vector halfway between l and v.  Then n.h = (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v.
-    `light_dot_eye` encloses (q - p).(-p) / t^2, with the visible point p = t d and the light q.
+    n_dot_l: Enclosures  # in [0, 1]
+    inverse_light_distance: Enclosures  # of t / |q - p|
+    light_dot_eye: Enclosures  # of (q - p).(-p) / t^2, the product of the vectors to light and eye
+
+    def take(self, index: Shaped[Ints, "k"]) -> _LightTerms:
+        return _LightTerms._make(field[index] for field in self)
+
+
+def _enclose_light_terms(
+    analysis: CellAnalysis, pair_index: Shaped[Ints, "n"], light_index: Shaped[Ints, "n"]
+) -> _LightTerms:
+    """Enclose the terms of each combination of a pair and a light."""
+    cell_index = analysis.cells.cell_index[pair_index]
+    position = analysis.faces.light_position[light_index].T
+    squared_ray_length = analysis.squared_ray_length[cell_index]
+    # Divided by t^2, |q - p|^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) is d^2 - q.d / t.
+    q_dot_d = analysis.dot_with_rays(position, cell_index)
+    q_dot_d_over_t = analysis.inverse_distance[pair_index] * q_dot_d
+    squared_inverse_distance = (analysis.inverse_distance * analysis.inverse_distance)[pair_index]
+    squared_light_distance = squared_ray_length - q_dot_d_over_t * 2.0
+    squared_light_distance += squared_inverse_distance * (position * position).sum(axis=0)
+    inverse_light_distance = squared_light_distance.power(-0.5, _MIN_SQUARE)
+    # The height of the light above the tangent plane, divided by t, is n.(q - p) / t.
+    light_height = analysis.enclose_functions(
+        analysis.express_light_height(pair_index, light_index)
+    )
+    return _LightTerms(
+        n_dot_l=(light_height * inverse_light_distance).fall_back_to_unit_interval(),
+        inverse_light_distance=inverse_light_distance,
+        light_dot_eye=squared_ray_length - q_dot_d_over_t,
+    )
+
+
+def _enclose_n_dot_h(
+    analysis: CellAnalysis, pair_index: Shaped[Ints, "n"], terms: _LightTerms
+) -> Enclosures:
+    """Enclose n.h (8, n), which is (n.l + n.v) / |l + v|, where |l + v|^2 = 2 + 2 l.v.
+
+    `terms` are those of the pairs with one light each.  A pair may occur with several lights.
     """
     cell_index = analysis.cells.cell_index
     distinct_pair_index, pair_number = np.unique(pair_index, return_inverse=True)
     inverse_ray_length = analysis.squared_ray_length.power(-0.5)  # 1 / |d|
     eye_height = analysis.enclose_functions(analysis.express_light_height(distinct_pair_index, -1))
     n_dot_v = eye_height * inverse_ray_length[cell_index[distinct_pair_index]]
-    scale = inverse_light_distance * inverse_ray_length[cell_index[pair_index]]
-    l_dot_v = light_dot_eye * scale
-    inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
-    n_dot_sum = n_dot_l + n_dot_v[pair_number]
-    return (n_dot_sum * inverse_sum).fall_back_to_unit_interval()
+    scale = terms.inverse_light_distance * inverse_ray_length[cell_index[pair_index]]
+    l_dot_v = terms.light_dot_eye * scale
+    inverse_length_of_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
+    n_dot_sum = terms.n_dot_l + n_dot_v[pair_number]
+    return (n_dot_sum * inverse_length_of_sum).fall_back_to_unit_interval()
