@@ -164,9 +164,9 @@ class _ExtendedFaces(NamedTuple):
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that are visible at the centers of cells: at most one hit for each cell.
+    """What is visible at the centers of cells, with at most one hit for each cell.
 
-    The methods yield batches of edges that may cross the cells.
+    The methods yield edges that may cross the cells, in batches.
     """
 
     hits: Hits
@@ -397,6 +397,6 @@ def _compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
     """Compute the angle, in radians, that half the diagonal of a cell subtends at the eye.
 
-    This is the angle of a cell straight ahead of the eye; those of all other cells are smaller.
+    The cell is straight ahead of the eye.  The angles of all other cells are smaller.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth

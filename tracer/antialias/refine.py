@@ -52,7 +52,7 @@ from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
-# Maximum number of samples that are traced together in cells that edges cross: it limits memory.
+# Maximum number of samples that are traced together in cells that edges cross.  It limits memory.
 _SAMPLES_PER_BATCH = BATCH_SIZE
 
 # Maximum error of the mean radiance of a cell if one sample per pixel is requested.  If n x n are
@@ -61,29 +61,30 @@ _SAMPLES_PER_BATCH = BATCH_SIZE
 # with half the limit, 64 samples take up to 1.4 times as long.
 _TOLERANCE = 8e-3
 
-# Cells in which at most this many samples along each side are requested are sampled, not divided:
-# classifying their quarters would cost more than it saves.  Tuned on the project's scenes: with 4,
-# errors of 16 samples are up to 3 times as large.
+# Cells in which at most this many samples along each side are requested are sampled, not divided,
+# because classifying their quarters would cost more than it saves.  Tuned on the project's scenes:
+# with 4, errors of 16 samples are up to 3 times as large.
 _MAX_SAMPLED_SIDE = 3
 
-# Maximum number of pairs of silhouettes in a pixel, divided by the number of samples per pixel: in
-# pictures with more, samples in all pixels cost less than classification.  Tuned on the project's
-# scenes: with half the limit, errors are up to 3 times as large; with twice the limit, the times of
-# 16 samples are up to 5 times as long.
+# If a pixel has more than this many pairs of silhouettes for each sample per pixel, then samples in
+# all pixels cost less than classification.  Tuned on the project's scenes: with half the limit,
+# errors are up to 3 times as large; with twice the limit, the times of 16 samples are up to 5 times
+# as long.
 _MAX_PAIRS_PER_SAMPLE = 0.006
 
 
 def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> bool:
-    """Estimate whether sampling all pixels uniformly is cheaper than searching for edges.
+    """Estimate whether sampling all pixels on a grid takes less time than searching for edges.
 
-    The cost of the search grows with the number of pairs of silhouettes that cross the same pixel.
+    The grid has `samples_per_side` samples along each side of a pixel.  The time of the search
+    grows with the number of pairs of silhouettes that cross the same pixel.
     """
     pairs_per_pixel = scene.bounds.estimate_silhouette_pairs(scene.frame)
     return pairs_per_pixel > _MAX_PAIRS_PER_SAMPLE * samples_per_side**2
 
 
 class _Steps(NamedTuple):
-    """How to refine cells that edges cross: the table in the docstring of this module."""
+    """How to refine cells that edges cross: a row of the table in this module's docstring."""
 
     first_lattice: Lattice | None = None  # None: there is no first step
     # Whether the first step includes cells that may contain something other than straight edges.
@@ -92,10 +93,8 @@ class _Steps(NamedTuple):
 
 
 def _choose_steps(cells: Cells) -> _Steps:
-    """Choose how to refine cells that edges cross, from their width and the samples requested.
-
-    All gains in this function were measured on the project's scenes.
-    """
+    """Choose how to refine cells that edges cross, from their width and the samples requested."""
+    # All times and errors in this function were measured on the project's scenes.
     if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
         return _Steps()
     if cells.samples_per_side > _MAX_SAMPLED_SIDE:
@@ -190,7 +189,7 @@ def _compute_cell_means(
 
 
 def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
-    """Choose how many cells to sample in one batch, at least 1: it limits memory.
+    """Choose how many cells, at least 1, to sample in one batch, so that memory is limited.
 
     If many of the scene's objects overlap in the picture, fewer cells are sampled together.
     """

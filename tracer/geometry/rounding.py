@@ -46,7 +46,7 @@ UNIT_TOLERANCE = 2 * _EPSILON
 SQUARE_ROUNDING = 1e-13
 
 # Bound on the errors of ray directions, and of planes that bound boxes, relative to their size.
-# Fewer than 100 operations lead to them: 50 e = 1.1e-14.
+# Fewer than 100 operations lead to them, so their errors are at most 50 e = 1.1e-14.
 PLANE_ROUNDING = 1e-12
 
 # Bound on the errors of directions from a light, and of points that are snapped to planes, relative
@@ -61,15 +61,15 @@ POSITION_ROUNDING = 1e-9
 # If the power |c|^2 - r^2 of the eye with respect to a sphere is less than this fraction of |c|^2,
 # then it consists mostly of rounding errors, which are 4 e = 9e-16.  Here c is the vector from the
 # eye to the sphere's center, and r is the radius.  The directions of tangents depend on the square
-# root of the power, whose relative error is larger still.
+# root of the power, whose error may be as large as sqrt(4 e) |c| = 3e-8 |c|.
 MIN_POWER = 1e-14
 
-# If 1 + l.v is less than this, with unit vectors l and v, then cancellation has increased its
-# relative rounding error, 2 e, to more than 2,000 e = 4.4e-13.
+# Let l and v be unit vectors to a light and to the eye.  If 1 + l.v is less than this, cancellation
+# has increased its relative rounding error, 2 e, to more than 2,000 e = 4.4e-13.
 MIN_HALF_SQUARE = 1e-3
 
-# If |l + v|^2 is less than this, with unit vectors l and v, then it consists of rounding errors:
-# those of its components are at most 2 e, so that |l + v|^2 = 1e-24 is known to two in 1,000.
+# If |l + v|^2 is less than this, with the same unit vectors, then rounding errors dominate it.  In
+# the components of l + v they are at most 2 e, so |l + v|^2 = 1e-24 is known to two in 1,000.
 MIN_SQUARED_SUM = 1e-24
 
 # Maximum factor by which a power may amplify the rounding error of its base, which is 4 e in a
@@ -81,8 +81,8 @@ MAX_AMPLIFICATION = 256.0
 # far away.
 MIN_COMPONENT = 1e-30
 
-# Added to divisors of at least 0 to avoid 0 / 0: negligible compared with any length in a scene, of
-# which the least is 1e-75.
+# Added to divisors of at least 0 to avoid 0 / 0.  It is negligible compared with any length in a
+# scene, because the least is 1e-75.
 MIN_DIVISOR = 1e-300
 
 

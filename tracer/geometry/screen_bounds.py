@@ -14,7 +14,7 @@ import numpy as np
 from tracer.arrays import Bools, Floats
 from tracer.geometry.camera import CameraFrame
 
-# Rectangles are treated as larger by this length on each side: far more than their rounding errors.
+# Rectangles are treated as larger by this length on each side.  It exceeds rounding errors by far.
 _MARGIN = 1
 
 
@@ -56,8 +56,8 @@ class ScreenBounds(NamedTuple):
         """
         is_in_rows = (self.top <= frame.height + _MARGIN) & (self.bottom >= -_MARGIN)
         is_in_columns = (self.left <= frame.width + _MARGIN) & (self.right >= -_MARGIN)
-        is_in_picture: Bools = is_in_rows & is_in_columns
-        return is_in_picture
+        overlaps: Bools = is_in_rows & is_in_columns
+        return overlaps
 
     def find_visible_pixels(self, frame: CameraFrame) -> tuple[slice, slice]:
         """Find the rows and the columns of pixels outside which no object is visible.

@@ -1,8 +1,8 @@
 """The size of packets, which are groups of neighbouring hits on one object.
 
-If the hits of a packet are close together in the scene, then a single test often shows for all of
-them that an object does not shade them (see `occlusion`).  So packets are about equally large in
-all directions: along x and along y in the picture, and in depth.
+If the hits of a packet are close together in the scene, then a single test often shows that an
+object shades none of them (see `packets`).  So the hits of a packet are close together in all
+directions: along x and along y in the picture, and in depth.
 """
 
 from __future__ import annotations

@@ -190,9 +190,9 @@ class Scattered(Samples):
     def from_positions(
         cls, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
     ) -> tuple[Scattered, Shaped[Ints, "n"]]:
-        """Create samples at finite positions, and return their order, too.
+        """Create samples at finite positions, and return the order into which they were sorted.
 
-        The samples are sorted, so sample i is at the position (x[order[i]], y[order[i]]).
+        Sample i is at the position (x[order[i]], y[order[i]]).
         """
         order = np.lexsort((x, np.floor(y)))
         sorted_x = x[order]
