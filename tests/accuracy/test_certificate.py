@@ -18,7 +18,7 @@ from scene_files import HardScene, hard_scenes, small_scene
 from reference.judges import cell_analysis, certificate
 from reference.judges.arrays import Floats, Ints, find_in_sorted, sum_by_index
 from reference.judges.cell_analysis import CellAnalysis
-from reference.judges.cells import Contributions
+from reference.judges.cells import Cells, Contributions
 from reference.judges.certificate import CellEstimates, certify
 from reference.judges.enclosures import CONSTANT, ERROR, UNKNOWN_Z, Enclosures
 from reference.judges.faces import Faces
@@ -242,6 +242,37 @@ def test_the_sample_of_a_region_of_almost_no_area_proves_nothing(
     )
     regions = divide_into_regions(strips, 1)
     assert certificate._bound_sample_errors(strips, regions, 1).tolist() == [0, error, 0]
+
+
+@pytest.mark.parametrize("width", [0.25, 1, 4])
+def test_the_means_of_a_cell_in_its_pixels_are_exact(width: float) -> None:
+    """A polynomial of X and Y is compared with its means over pixels, by Gauss's quadrature."""
+    picture = certificate._Picture(
+        scene_of(Sphere(center=(0, 0, -5)), size=(8, 8), lights=(0, 0, 0)), 0.1
+    )
+    no_pairs, no_radiance = np.zeros(0, dtype=np.intp), Enclosures(np.zeros((8, 3, 0)))
+    cells = Cells(
+        width=width,
+        x=np.array([width / 2]),
+        y=np.array([width / 2]),
+        cell_index=no_pairs,
+        face_index=no_pairs,
+        covers_cell=no_pairs > 0,
+        is_settled=np.zeros((0, 1), dtype=np.bool_),
+        radiance=no_radiance,
+        shadow_triples=np.zeros((3, 0), dtype=np.intp),
+    )
+    coefficients = np.random.default_rng(0).uniform(0.1, 1, (8, 3, 1))
+    picture.add_cells(cells, np.array([0]), Enclosures(coefficients))
+    pixel_width = min(width, 1)
+    begin = np.arange(0, width, pixel_width)[:, None]
+    nodes = 2 * (begin + pixel_width * (0.5 + np.array([-0.5, 0.5]) / np.sqrt(3))) / width - 1
+    y, x = nodes[:, None, :, None], nodes[None, :, None, :]
+    terms = np.array([1 + 0 * x * y, x + 0 * y, y + 0 * x, x * x + 0 * y, x * y, y * y + 0 * x])
+    means = np.tensordot(coefficients[:UNKNOWN_Z, :, 0], terms.mean(axis=(3, 4)), (0, 0))
+    expected = np.zeros(picture.image.shape)
+    expected[:, : begin.size, : begin.size] = pixel_width**2 * means
+    np.testing.assert_allclose(picture.image, expected, atol=1e-14)
 
 
 def assert_means_are_certified(scene: Scene, sample_count: int) -> None:

@@ -122,6 +122,10 @@ def highlights() -> Iterator[Ray]:
     for light, radiance in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
         yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], radiance)
     yield floor_from_above((0, 0, 0), 0, gray_phong(1, 10, 1), 0)
+    # The light and the eye are so low above the floor that n.h, which is 2e-19, is rounded to 0.
+    low = 2.0**-70
+    floor, light = replace(FLOOR, shader=gray_phong(1, 0)), (1, low, 0.01)
+    yield Ray("along a floor, exponent 0", (-1, low, 0), (1, -low, 0), light, [floor], 1, 0)
 
 
 def normals() -> Iterator[Ray]:

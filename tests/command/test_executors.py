@@ -225,6 +225,22 @@ def test_an_item_that_takes_as_long_in_a_worker_as_here_is_not_repeated():
     assert sorted(calls) == [0, 1, 2, 3]
 
 
+def test_parts_of_an_item_are_processed_before_all_other_items():
+    """An item may be divided while others wait, and its caller may stop before the last part."""
+    calls: list[int | tuple[int, int]] = []
+
+    def process(item: int | tuple[int, int]) -> int:
+        calls.append(item)
+        if isinstance(item, int):
+            with closing(work.process([(item, part) for part in range(3)])) as results:
+                return 10 * item + next(results)
+        return item[1]
+
+    work = parallel.Distribution[Any, int](process, process, 0)
+    assert [*work.process([1, 2])] == [10, 20]
+    assert calls == [1, (1, 0), 2, (2, 0)]
+
+
 # A program that renders pictures with worker processes.  While a worker sends a result, it kills or
 # stops itself at random, so that only a part of the message is sent.
 CUT_OFF = """
