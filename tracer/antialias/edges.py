@@ -14,6 +14,9 @@ or crease                   surfaces
 terminator                  the cosine between the normal and the direction to the light
 ==========================  ======================================================================
 
+For planar faces, n . ray and 1 / t are linear functions of the position in the picture, so their
+edges are exactly straight.
+
 A *silhouette* is the outline of an object, seen from a *viewpoint*: the eye or a light.  An outline
 seen from a light is the edge of a shadow; the ray in the table then leads from the light to the
 surface that is visible in the cell.
@@ -62,9 +65,10 @@ def find_silhouettes_from_eye(
     cell_index: Shaped[Ints, "pairs"],
     object_index: Shaped[Ints, "pairs"],
 ) -> Iterator[EdgeValues]:
-    """Yield the silhouettes, seen from the eye, that may cross cells, for pairs of cell and object.
+    """Yield the silhouettes of objects, seen from the eye, that may cross cells.
 
-    The center of the cell of each pair, and the width of all cells, are in pixels.
+    Only the given pairs of a cell and an object are examined.  The center of the cell of each pair,
+    and the width of all cells, are in pixels.
     """
     frame = scene.frame
     for batch in split_indices(np.arange(cell_index.size)):
@@ -89,14 +93,14 @@ def _evaluate_silhouettes(
     cell_index: Shaped[Ints, "n"],
     object_index: Shaped[Ints, "n"],
 ) -> Iterator[EdgeValues]:
-    """Yield the silhouettes that may cross cells, for n pairs of a cell and an object.
+    """Yield the silhouettes of objects that may cross cells, for n pairs of a cell and an object.
 
     Parameters
     ----------
     viewpoint
         Positions of the eye or of lights, in scene axes.
     ray
-        For each pair, six directions from its viewpoint to what is visible at the six points of the
+        For each pair, directions from its viewpoint to what the eye sees at the six points of the
         cell (see `compute_rays`), in camera axes.
     viewpoint_index
         Index of the viewpoint of each pair.
@@ -217,16 +221,17 @@ class CellSurfaces(NamedTuple):
     ) -> Iterator[EdgeValues]:
         """Yield edges where the visible surface of a cell may meet a planar face behind it.
 
-        The ray through the center of the cell hits the object that has the face.  It may hit
-        another face of this object, but other rays of the cell may meet the face.
+        A hidden hit is on one face of its object, but the visible surface may meet the other faces
+        of this object, too.  They are compared at the points where the ray through the center of
+        the cell meets their planes.
 
         Parameters
         ----------
         visible_hit_index
             Index of the visible hit in front of each hidden hit, on the same ray from the eye.
         is_close
-            Whether the two surfaces may meet near the hidden hit; ignored if the eye is inside the
-            hidden object.
+            Whether the two surfaces may meet near the hidden hit.  Only such hidden hits are
+            examined, and those on objects that contain the eye.
         """
         cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
         hidden_object = hidden_hits.hit_object
@@ -238,19 +243,19 @@ class CellSurfaces(NamedTuple):
                 continue
             hidden_index = group.interval.start + find(is_candidate[group.interval])
             object_index = hidden_object[hidden_index]
-            hit_index = visible_hit_index[hidden_index]
+            front_hit_index = visible_hit_index[hidden_index]
             to_hit = take(hidden_hits.from_eye, hidden_index)
             distance = hidden_distance[hidden_index]
             for face in group.shape.intersect_other_faces(object_index, to_hit, cell_angle):
-                front_index = hit_index[face.item_index]
+                hit_index = front_hit_index[face.item_index]
                 face_distance = face.t * distance[face.item_index]
-                gap = np.abs(face_distance - visible_distance[front_index])
-                may_meet = gap <= self.footprint_radius[front_index] + face.footprint_radius
+                gap = np.abs(face_distance - visible_distance[hit_index])
+                may_meet = gap <= self.footprint_radius[hit_index] + face.footprint_radius
                 yield from self._intersect_with_face(
                     group.shape,
                     face.face_code,
                     object_index[face.item_index[may_meet]],
-                    front_index[may_meet],
+                    hit_index[may_meet],
                 )
 
     def find_creases(self) -> Iterator[EdgeValues]:
@@ -280,9 +285,9 @@ class CellSurfaces(NamedTuple):
         object_index: Shaped[Ints, "n"],
         hit_index: Shaped[Ints, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where the surface at each hit meets one face of an object.
+        """Yield the edges where the surface at each hit meets one face of the given object.
 
-        `face_code` selects the face (see `Shape`); its object is given for each hit.
+        `face_code` is the code of this face (see `tracer.geometry.shape`).
         """
         for batch in split_indices(np.arange(hit_index.size)):
             ray, surface_inverse_t = self._trace_rays(hit_index[batch])
