@@ -11,11 +11,10 @@ then one region is divided into two, which does no harm.
 A point is a complex number x + iy, relative to the center of its cell, with x and y between -1/2
 and 1/2 of the cell's width, and y pointing down.  Areas are fractions of the cell's area.
 
-The lines of all cells are sorted by cell, so that those of cell i have the indices line_start[i] to
-line_start[i + 1] - 1.  Regions are numbered over all cells.  In the binary digits of a region's
-index, bit k is 1 if the region is on the positive side of line k of its cell.  The bits from
-`max_lines` on are the index of the cell, where `max_lines` is the maximum number of lines in a
-cell.  It is at most `MAX_LINES` of `classify`, so indices stay small.
+Regions are numbered over all cells.  In the binary digits of a region's index, bit k is 1 if the
+region is on the positive side of line k of its cell.  The bits from `max_lines` on are the index of
+the cell, where `max_lines` is the maximum number of lines in a cell: at most `MAX_LINES` of
+`classify`, so indices stay small.
 """
 
 from __future__ import annotations
@@ -58,15 +57,11 @@ def place_weighted_points(
     The lines must be sorted by cell.  The result contains the points of one cell after the other.
     At its end, the centroids of triangles are added, which cover the regions with too few points.
     """
-    line_start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
-    max_lines = int(np.diff(line_start).max(initial=0))
+    cell_lines = _CellLines.from_lines(lines, cell_count)
     position: Points2D = np.tile(points, cell_count)
-    region_index = _find_regions(lines, line_start, max_lines, points)
-    triangles = _Triangles.from_cells(cell_count, max_lines)
-    for line_number in range(max_lines):
-        triangles = triangles.divide(lines, line_start, line_number)
-    centroids = triangles.compute_centroids()
-    region_count = cell_count << max_lines
+    region_index = _find_regions(cell_lines, cell_count, points)
+    centroids = _divide_into_triangles(cell_lines, cell_count).compute_centroids()
+    region_count = cell_count << cell_lines.max_lines
     weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
     added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
     placed_points = WeightedPoints(
@@ -91,40 +86,50 @@ def find_samples_in_mixed_regions(
     return find(reference_id[region_index] != sample_id)
 
 
+class _CellLines(NamedTuple):
+    """Lines sorted by cell.
+
+    Those of cell i have the indices start[i] to start[i + 1] - 1.  They are numbered from 0.
+    """
+
+    lines: Lines
+    start: Shaped[Ints, "cells+1"]
+    max_lines: int  # maximum number of lines in a cell
+
+    @classmethod
+    def from_lines(cls, lines: Lines, cell_count: int) -> _CellLines:
+        start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
+        return cls(lines=lines, start=start, max_lines=int(np.diff(start).max(initial=0)))
+
+    def evaluate(
+        self,
+        line_number: int,
+        cell_index: Shaped[Ints, "n"],
+        position: Shaped[Points2D, "m n"],
+    ) -> tuple[Shaped[Ints, "k"], Shaped[Floats, "m k"]]:
+        """Evaluate c + a x + b y for one line of each cell, at m points in each of n columns.
+
+        The points of column i are in the cell cell_index[i].  The first result is the indices of
+        those columns whose cell has a line of this number.  The second is the values in them.
+        """
+        line_index = self.start[cell_index] + line_number
+        column_index = find(line_index < self.start[cell_index + 1])
+        line = self.lines.take(line_index[column_index])
+        point = position[:, column_index]
+        return column_index, line.a * point.real + line.b * point.imag + line.c
+
+
 def _find_regions(
-    lines: Lines,
-    line_start: Shaped[Ints, "cells+1"],
-    max_lines: int,
-    points: Shaped[Points2D, "m"],
+    cell_lines: _CellLines, cell_count: int, points: Shaped[Points2D, "m"]
 ) -> Shaped[Ints, "n"]:
-    """Find the index of the region in which each of the points lies, cell by cell."""
-    cell_index = np.arange(line_start.size - 1)
-    position: Points2D = np.repeat(points[:, None], cell_index.size, axis=1)
-    region_index = np.repeat(cell_index[None] << max_lines, points.size, axis=0)
-    for line_number in range(max_lines):
-        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, position)
+    """Find the index of the region in which each of m points lies, for one cell after the other."""
+    cell_index = np.arange(cell_count)
+    position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
+    region_index = np.repeat(cell_index[None] << cell_lines.max_lines, points.size, axis=0)
+    for line_number in range(cell_lines.max_lines):
+        column_index, values = cell_lines.evaluate(line_number, cell_index, position)
         region_index[:, column_index] |= (values > 0) << line_number
     return region_index.T.ravel()
-
-
-def _evaluate_lines(
-    lines: Lines,
-    line_start: Shaped[Ints, "cells+1"],
-    line_number: int,
-    cell_index: Shaped[Ints, "n"],
-    position: Shaped[Points2D, "m n"],
-) -> tuple[Shaped[Ints, "k"], Shaped[Floats, "m k"]]:
-    """Evaluate one line of each cell, c + a x + b y, at m points in each of n columns.
-
-    The points of column i are in the cell cell_index[i].  `line_number` counts the lines of a cell
-    from 0.  The first result is the indices of those columns whose cell has this line, and the
-    second the values in these columns.
-    """
-    line_index = line_start[cell_index] + line_number
-    column_index = find(line_index < line_start[cell_index + 1])
-    line = lines.take(line_index[column_index])
-    point = position[:, column_index]
-    return column_index, line.a * point.real + line.b * point.imag + line.c
 
 
 class _Triangles(NamedTuple):
@@ -132,30 +137,18 @@ class _Triangles(NamedTuple):
 
     corners: Shaped[Points2D, "3 n"]
     cell_index: Shaped[Ints, "n"]
-    region_index: Shaped[Ints, "n"]  # valid if no line crosses the triangle
+    region_index: Shaped[Ints, "n"]
 
-    @classmethod
-    def from_cells(cls, cell_count: int, max_lines: int) -> _Triangles:
-        """Divide each cell into two triangles, on the negative side of all its lines."""
-        square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
-        cell_index = np.arange(cell_count).repeat(2)
-        return cls(
-            corners=np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], cell_count),
-            cell_index=cell_index,
-            region_index=cell_index << max_lines,
-        )
-
-    def divide(
-        self, lines: Lines, line_start: Shaped[Ints, "cells+1"], line_number: int
-    ) -> _Triangles:
+    def divide(self, cell_lines: _CellLines, line_number: int) -> _Triangles:
         """Divide each triangle that one line of its cell crosses into three.
 
-        `line_number` counts the lines of a cell from 0.  The bit of this line is set in the index
-        of each region.  The arrays of this object are changed.
+        The bit of this line is set in the indices of the regions on its positive side.  The arrays
+        of this object are changed, too.
         """
         corners, cell_index, region_index = self
-        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
+        column_index, values = cell_lines.evaluate(line_number, cell_index, corners)
         is_positive = values > 0
+        # The line crosses a triangle unless all three corners are on one side.
         positive_count = is_positive.sum(axis=0)
         region_index[column_index[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
@@ -169,7 +162,7 @@ class _Triangles(NamedTuple):
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
-        # The first part replaces the divided triangle, and two others are appended.
+        # The first part replaces the divided triangle, and the other two are appended.
         corners[:, parent_index] = a, on_ab, on_ac
         parent_region = region_index[parent_index]
         region_index[parent_index] = parent_region | (is_a_positive << line_number)
@@ -193,6 +186,23 @@ class _Triangles(NamedTuple):
             weight=area,
             region_index=self.region_index,
         )
+
+
+def _divide_into_triangles(cell_lines: _CellLines, cell_count: int) -> _Triangles:
+    """Divide cells into triangles that no line crosses.
+
+    A diagonal divides each cell into two triangles, which are divided line by line.
+    """
+    square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+    cell_index = np.arange(cell_count).repeat(2)
+    triangles = _Triangles(
+        corners=np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], cell_count),
+        cell_index=cell_index,
+        region_index=cell_index << cell_lines.max_lines,
+    )
+    for line_number in range(cell_lines.max_lines):
+        triangles = triangles.divide(cell_lines, line_number)
+    return triangles
 
 
 def _sum_by_region(
