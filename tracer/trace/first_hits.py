@@ -43,11 +43,7 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Arrange hits, at most one for each sample, in the order of the samples.
-
-        If there is no hit, the surface is -1, the distance is infinite, and the normal and the
-        position are NaN.
-        """
+        """Arrange hits, at most one for each sample, in the order of the samples."""
         sample_count = hits.samples.size
         sample_index = hits.sample_index
         surface = np.full(sample_count, -1)

@@ -41,7 +41,7 @@ _LOBE_CUTOFF = 3.0
 # The x at which the bell underflows.
 _LOBE_UNDERFLOW = 27.0
 
-# Number of different values of `Hits.face_axis`: an id encodes the object and the axis.
+# Number of different values of `Hits.face_axis`, which is a part of `Shading.visibility_ids`.
 _FACE_AXES = NO_AXIS + 1
 
 
@@ -54,9 +54,10 @@ class ChannelRadiance(NamedTuple):
 
 
 class LightGeometry(NamedTuple):
-    """Dot products of normals and light vectors, for n hits and a batch of lights.
+    """Dot products of normals and vectors to lights, for n hits and a batch of lights.
 
-    Here l is the vector from the hit to the light, not of unit length.  Occluders are ignored.
+    Here l is the whole vector from the hit to the light, and n is the unit normal.  Whether an
+    object blocks the light is ignored.
     """
 
     hits: Hits
@@ -69,7 +70,10 @@ class LightGeometry(NamedTuple):
     def compute_highlight_strength(
         self, light_index: int, hit_index: Shaped[Ints, "k"]
     ) -> Shaped[Floats, "k"]:
-        """Compute the strength of one light's highlight at hits whose surfaces face the light."""
+        """Compute the strength of the highlight of one light at selected hits.
+
+        The surface must face the light at these hits.
+        """
         hits = self.hits
         from_eye = take(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
@@ -82,9 +86,8 @@ class LightGeometry(NamedTuple):
         # |l + v|^2 = 2 + 2 l.v.  With exponents up to 1e6, the error of this formula is at most
         # 1e-12 if |l + v| > 0.3, and at most 1e-10 if |l + v| > 0.002.
         half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
-        squared_cosine = light_cosine + eye_cosine
-        squared_cosine *= squared_cosine
-        squared_cosine /= 2 * half_square
+        cosine_sum = light_cosine + eye_cosine
+        squared_cosine = cosine_sum * cosine_sum / (2 * half_square)
         exponent = hits.get_object_values(hits.scene.exponent)[hit_index]
         strength: Floats = np.exp(0.5 * exponent * np.log(squared_cosine))
         # The rounding error is large if l and v almost cancel, or if the exponent amplifies it.
@@ -100,15 +103,40 @@ class LightGeometry(NamedTuple):
         return strength
 
 
+def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
+    """Compute the dot products of each pair of a light and a hit."""
+    pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
+    geometry = LightGeometry(
+        hits=hits,
+        lights=lights,
+        n_dot_l=np.empty(pair_shape),
+        squared_distance=np.empty(pair_shape),
+    )
+    for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
+        # An object that contains the eye blocks all lights outside it.
+        is_blocker = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
+        for group in hits.groups:
+            from_eye = hits.from_eye[:, group.interval]
+            to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
+            n_dot_l = group.compute_height(lights.position[light_index], to_light)
+            if is_blocker[group.run_object].any():
+                # Not 0, which would mean that the light is exactly on the hit's horizon.
+                n_dot_l[group.repeat_runs(is_blocker[group.run_object])] = -np.inf
+            geometry.n_dot_l[light_index, group.interval] = n_dot_l
+            geometry.squared_distance[light_index, group.interval] = dot(to_light, to_light)
+    return geometry
+
+
 def _compute_accurate_highlight(
     normal: Shaped[Triple, "n"],
     light_direction: Shaped[Triple, "n"],
     eye_direction: Shaped[Triple, "n"],
     exponent: Shaped[Floats, "n"],
 ) -> Shaped[Floats, "n"]:
-    """Compute the strengths of highlights from unit vectors, without loss of accuracy.
+    """Compute the strength of the highlight at each hit, without cancellation of digits.
 
-    The strength is 0 if the light and the eye are in opposite directions.
+    All vectors are unit vectors from the hit.  The strength is 0 if the light and the eye are in
+    opposite directions.
     """
     direction_sum = map_xyz(np.add, light_direction, eye_direction)
     squared_length = dot(direction_sum, direction_sum)
@@ -124,12 +152,10 @@ def _compute_accurate_highlight(
 
 
 class Shading:
-    """The radiance that n hits reflect towards the eye, summed over lights.
+    """The radiance that n hits reflect towards the eye, summed over lights that are added."""
 
-    If `with_ids` is true, `visibility_ids` encodes for each hit the object, its face, and the
-    lights that are visible from the hit; otherwise it is empty.
-    """
-
+    # For each hit, an integer that encodes the object, the axis of its face, and the lights that
+    # are visible from the hit; empty unless `with_ids` is true.
     visibility_ids: Shaped[Ints, "ids"]
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
@@ -145,7 +171,7 @@ class Shading:
             self.visibility_ids = _FACE_AXES * hits.hit_object + hits.face_axis
 
     def add(self, geometry: LightGeometry, is_lit: Shaped[Bools, "lights n"]) -> None:
-        """Add the light that hits reflect from those lights that are visible from them."""
+        """Add the light of a batch of lights; `is_lit` tells which of them each hit reflects."""
         for light_index, is_hit_lit in enumerate(is_lit):
             if self._with_ids:
                 # Multiplying by an odd number never shifts a light's bit out of the integer, so
@@ -200,7 +226,7 @@ def _add_light(
 ) -> Shaped[Floats, "3 n"]:
     """Add the intensity of one light, times a factor for each hit, to a sum over lights.
 
-    The sum is overwritten; it is None before the first light.
+    `total` is None before the first light; otherwise it is changed in place, and returned.
     """
     if total is None:  # faster than creating zeros and adding to them
         return np.multiply.outer(intensity, factor)
@@ -209,41 +235,21 @@ def _add_light(
     return total
 
 
-def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute the dot products for pairs of a light and a hit."""
-    pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
-    geometry = LightGeometry(
-        hits=hits,
-        lights=lights,
-        n_dot_l=np.empty(pair_shape),
-        squared_distance=np.empty(pair_shape),
-    )
-    for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
-        # An object that contains the eye blocks all lights outside it.
-        is_blocker = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
-        for group in hits.groups:
-            from_eye = hits.from_eye[:, group.interval]
-            to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
-            n_dot_l = group.compute_height(lights.position[light_index], to_light)
-            if is_blocker[group.run_object].any():
-                # Not 0, which would mean that the light is exactly on the hit's horizon.
-                n_dot_l[group.repeat_runs(is_blocker[group.run_object])] = -np.inf
-            geometry.n_dot_l[light_index, group.interval] = n_dot_l
-            geometry.squared_distance[light_index, group.interval] = dot(to_light, to_light)
-    return geometry
-
-
 def find_narrow_highlights(
     geometry: LightGeometry,
     faces_light: Shaped[Bools, "lights n"],
     footprint_radius: Shaped[Floats, "n"],
 ) -> Iterator[Shaped[Ints, "k"]]:
-    """Yield, light by light, indices of hits near which one sample may miss a narrow highlight.
+    """Find hits near which a highlight is so narrow that one sample may miss it.
 
-    The footprint of a hit is the part of the surface around it that is visible in one cell (a pixel
-    or a part of it); its radius is in the scene's unit of length.  Hits whose surface does not face
-    the light are skipped.  Occluders are ignored, because the light may be visible from other
-    points of the footprint.
+    Yields arrays of indices of hits, each for one light.  Hits are skipped if the surface does not
+    face the light, but not if they are in shadow, because the light may be visible nearby.
+
+    Parameters
+    ----------
+    footprint_radius
+        Radius of the part of the surface, around each hit, that is visible in a cell of the picture
+        (a pixel or a square part of it); in the scene's unit of length.
     """
     hits = geometry.hits
     scene = hits.scene

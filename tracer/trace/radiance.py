@@ -21,8 +21,8 @@ def compute_radiance(
 ) -> Shaped[Floats, "3 n"]:
     """Compute the linear RGB radiance that reaches the eye along the ray through each sample.
 
-    It is 0 if the ray meets no surface.  If `out` is given, it must contain zeros; it is filled and
-    returned.
+    The radiance is 0 if the ray meets no surface.  If `out` is given, it must contain zeros, and is
+    filled and returned.
     """
     hits = find_nearest_hits(scene, samples)
     return shade(hits, scene.iterate_light_batches()).compute_radiance(out)
@@ -44,7 +44,10 @@ def compute_radiance_and_visibility(
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Compute the light reflected towards the eye at each hit, taking shadows into account."""
+    """Compute the light that each hit reflects to the eye, from lights that no object blocks.
+
+    With `with_ids`, also compute `Shading.visibility_ids`.
+    """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:
         geometry = compute_light_geometry(hits, lights)

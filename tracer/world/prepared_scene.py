@@ -1,10 +1,8 @@
 """A scene prepared for one camera: the data that all samples of a picture share.
 
-In `trace` and `antialias`, `scene` is a `PreparedScene`; the unprepared scene occurs only in
-`first_hits`.
-
-Threads may share a `PreparedScene`.  Its arrays never change.  Lights are prepared when they are
-first needed, in batches, and a lock protects the cache that contains the batches.
+In `trace` and `antialias`, `scene` is a `PreparedScene`.  Lights are prepared when they are first
+needed, in batches, which a cache keeps.  Threads may share a `PreparedScene`, because its arrays
+never change, and a lock protects the cache.
 """
 
 from __future__ import annotations
@@ -40,17 +38,17 @@ _MAX_LIGHTS = 4
 # Maximum number of pairs of a light and an object in one batch of lights.
 _MAX_LIGHT_PAIRS = 4 * BATCH_SIZE
 
-# Once the cache of light batches has at least this many bytes, no batches are added.  The other
-# batches are prepared again and again, which takes less time than computing their shadows.
+# Once the cache of light batches has at least this many bytes, no batches are added.  Batches that
+# are not in the cache are prepared again and again, which takes less time than their shadows.
 _MAX_CACHED_BYTES = 1 << 26
 
-# Width of a packet (a group of neighbouring hits) relative to sqrt(pixels / objects), the side of
-# the square of pixels that each object has if all objects share the picture evenly.  Tuned on six
-# scenes of 4 to 1,000 objects: with half the width, rendering takes 1.13 times as long; with twice
-# the width, between 0.98 and 1.06 times.
+# Width of a packet (a group of neighbouring hits) relative to sqrt(pixels / objects), which is the
+# width of each object if the picture is divided into equal squares, one for each object.  Tuned on
+# six scenes of 4 to 1,000 objects: with half the width, rendering takes 1.13 times as long; with
+# twice the width, between 0.98 and 1.06 times.
 _PACKET_SCALE = 0.75
 
-# Stands for the highlights of surfaces without any.
+# The shader from which the highlights of surfaces without highlights are taken.
 _NOT_GLOSSY = Phong(exponent=0.0)
 
 # The hash of an object is the sum of its numbers, each times one of these factors.  There must be
@@ -62,7 +60,7 @@ class Lights(NamedTuple):
     """A batch of lights, with the data that shadow tests need."""
 
     position: Shaped[Floats, "lights 3"]  # in scene axes
-    from_eye: Shaped[Floats, "lights 3"]  # in camera axes
+    from_eye: Shaped[Floats, "lights 3"]  # vectors from the eye, in camera axes
     intensity: Shaped[Floats, "lights 3"]  # linear RGB
     side: Shaped[Sides, "lights objects"]  # from `Shape.find_light_side`
     grid: LightGrid | None  # None if no object can be in shadow
@@ -84,16 +82,19 @@ class PreparedScene:
 
     Parameters
     ----------
-    scene : Scene
-    offset : (float, float)
+    scene
+        The scene.
+    offset
         Displacement of every ray to the right and down, in pixels.
     """
 
     surfaces: Surfaces
     frame: CameraFrame
     shapes: tuple[Shape, ...]  # those with at least one object, in the order of their indices
-    bounds: ScreenBounds  # of all objects
-    are_rows_bounded_by_ends: bool  # for all shapes: see the method of `Shape`
+    bounds: (
+        ScreenBounds  # bounding rectangles in the picture; those of duplicates have top > bottom
+    )
+    are_rows_bounded_by_ends: bool  # whether `Shape.are_rows_bounded_by_ends` for all shapes
     is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
     # Whether the object equals an object earlier in the file.  A duplicate is never visible, and
@@ -117,11 +118,11 @@ class PreparedScene:
         self._prepare_shaders()
         self.light_count = len(scene.lights)
         self._lights = scene.lights
-        self._cache = dict[int, Lights]()
+        self._cache = dict[int, Lights]()  # by the index of the first light in the batch
         self._lock = Lock()
 
     def _prepare_objects(self) -> None:
-        """Set the attributes that follow from the geometry of objects."""
+        """Set the attributes that follow from the positions and sizes of objects."""
         shapes = [shape.from_surfaces(self.frame, self.surfaces) for shape in SHAPES]
         self._all_shapes = shapes
         self.shapes = tuple(shape for shape in shapes if shape.objects.size)
@@ -137,7 +138,6 @@ class PreparedScene:
         self.is_duplicate = _find_duplicates(self.surfaces)
         sides = map(np.concatenate, zip(*(shape.bounds for shape in shapes), strict=True))
         bounds = ScreenBounds._make(sides)
-        # Rectangles with top > bottom are not visible.
         self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
         self.depth_complexity = self.bounds.compute_depth_complexity(self.frame)
         self.visible_pixels = self.bounds.find_visible_pixels(self.frame)
@@ -156,24 +156,25 @@ class PreparedScene:
         self.is_glossy = np.any(self.specular > 0, axis=0)
 
     def choose_batch_size(self, max_samples: int) -> int:
-        """Choose how many samples, from 1 to `max_samples`, to trace together, to limit memory.
+        """Choose how many samples, from 1 to `max_samples`, may be traced together.
 
-        The number is smaller if more objects lie on each ray.
+        The more objects lie on each ray, the fewer samples fit into the memory of a batch.
         """
         memory_limit = int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))
         return max(1, min(max_samples, memory_limit))
 
     def iterate_light_batches(self) -> Iterator[Lights]:
-        """Yield all lights of the scene in batches, which are smaller if there are many objects."""
+        """Yield all lights of the scene, in batches that are smaller if there are many objects."""
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, lights_per_batch):
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
     def _get_light_batch(self, light_slice: slice) -> Lights:
-        """Return prepared lights from the cache, or prepare them and add them unless it is full.
+        """Return prepared lights from the cache.
 
-        Do not change the result: other threads may use it, too.
+        Lights that are not in the cache are prepared, and added unless the cache is full.  Threads
+        share the result, so it must not be changed.
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
@@ -184,7 +185,7 @@ class PreparedScene:
         return self.prepare_lights(light_slice)
 
     def prepare_lights(self, light_slice: slice = slice(None)) -> Lights:
-        """Prepare lights, selected in the order of the file, without using the cache."""
+        """Prepare some or all lights, in the order of the file, without using the cache."""
         lights = self._lights[light_slice]
         positions = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = positions.T[:, :, None]
@@ -206,14 +207,14 @@ class PreparedScene:
 
 def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
     """Choose the width of packets, in pixels: see `_PACKET_SCALE`."""
-    # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
+    # Packets lie along rows.  If pixels are narrower than high, packets are more pixels wide.  If
     # pixels are lower than wide, there are more packets instead.
     pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
     return _PACKET_SCALE * sqrt(pixel_count / max(object_count, 1))
 
 
 def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
-    """Find the objects that have the same kind and numbers as an object earlier in the file."""
+    """Find the objects whose kind, position and size are those of an object earlier in the file."""
     is_duplicate = np.empty(len(surfaces), dtype=np.bool_)
     for kind, columns in surfaces.tables.items():
         objects = get_object_range(surfaces, kind).slice
