@@ -307,6 +307,36 @@ def test_capsules_agree_with_their_segments(shape_type: type[Shape], seed: int) 
 
 
 @EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_segments_that_cross_the_surface_are_blocked(shape_type: type[Shape], seed: int) -> None:
+    shape, objects = prepare(shape_type, seed)
+    low, high = (corner[:, :1] for corner in shape.compute_bounding_boxes())
+    center, size = (low + high) / 2, high - low
+    inside = center[:, 0] + 0.2 * size[:, 0] * np.eye(3)[seed % 3]
+    for camera, eye_sign in (({}, 1), ({"view_point": inside}, -1)):
+        shape, _ = prepare(shape_type, seed, **camera)
+        ray_x, ray_y, t, _ = trace(shape, objects[:1], seed)
+        hits = find(t < np.inf)
+        to_hit = ray_x[hits] * t[hits], ray_y[hits] * t[hits], shape.frame.depth * t[hits]
+        hit, object_index = shape.frame.point_to_scene(to_hit), objects[:1].repeat(hits.size)
+        spread = np.random.default_rng(seed).normal(size=(3, hits.size))
+        light = tuple(center + spread * size)
+        light_side = shape.find_light_side(object_index, light)
+        occludes = shape.occludes(object_index, hit, light, light_side)
+        position = np.linspace(0, 1, 200)[1:-1, None]
+        points = tuple(x + position * (end - x) for x, end in zip(hit, light, strict=True))
+        # Heights above the surface, on the side of the eye, in units of the object's size.
+        height = eye_sign * shape.measure_distance(object_index, points) / size.max()
+        is_on_both_sides = (height > 1e-3).any(axis=0) & (height < -1e-3).any(axis=0)
+        stays = (height > 1e-4).all(axis=0) & (light_side == eye_sign)
+        assert is_on_both_sides.any()
+        assert stays.any()
+        assert occludes[is_on_both_sides].all()
+        assert not occludes[stays].any()
+
+
+@EACH_SHAPE
 @np.errstate(all="ignore")
 def test_no_power_of_a_length_is_above_the_fourth(shape_type: type[Shape]) -> None:
     # Coordinates of up to 2^248 = 5e74, and lengths from 2^-243 = 7e-74.

@@ -233,7 +233,9 @@ def test_parts_of_an_item_are_processed_before_all_other_items():
         calls.append(item)
         if isinstance(item, int):
             with closing(work.process([(item, part) for part in range(3)])) as results:
-                return 10 * item + next(results)
+                result = 10 * item + next(results)
+            assert [task.item for task in work._waiting] == [1, 2][item:]
+            return result
         return item[1]
 
     work = parallel.Distribution[Any, int](process, process, 0)
