@@ -1,7 +1,7 @@
-"""Render a scene with mistakes: formulas of the reference picture, some of which are replaced.
+"""Compute the formulas of a picture, some of which are replaced to simulate mistakes.
 
-A picture is defined by *formulas* (functions for values such as the radiance), and a mistake by the
-formulas that it replaces, its *replacements* (see `mistakes.md`).
+Formulas are functions for values such as the radiance (see `mistakes.md`).  The formulas that a
+mistake puts in the place of those of the reference picture are its *replacements*, by name.
 
 The problem is speed: tens of thousands of combinations of mistakes are rendered, and most of them
 share most of their formulas.  `FormulaCache` therefore computes each combination of formulas once
@@ -25,9 +25,9 @@ from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
-# Maximum size of the cached values and recipes in bytes, without those of the reference picture.
+# Maximum size in bytes of what a cache stores for mistakes, besides the reference picture's values.
 _MAX_CACHED_BYTES = 60_000_000
-# Approximate size of a recipe.
+# Approximate size in bytes of the description of how a value is computed.
 _BYTES_PER_RECIPE = 500
 
 
@@ -91,9 +91,9 @@ def _list_affected_formulas(replaced_names: tuple[str, ...]) -> tuple[str, ...]:
 class FormulaCache:
     """A cache of formula values at some pixels, each computed when it is first requested.
 
-    Pictures with different mistakes share the values that are computed in the same way.  A *recipe*
-    tells how to compute a value: it is a tuple of a formula and, for each argument, the index of
-    the argument's recipe.  The indices of inputs, which have no recipe, come first.
+    The inputs and all values are numbered, the inputs first.  The *recipe* of a value is a tuple of
+    its formula and of the numbers of the formula's arguments.  Pictures with different mistakes
+    share the values with the same recipe.
 
     Parameters
     ----------
@@ -110,33 +110,34 @@ class FormulaCache:
         self._inputs = inputs
         self._fitting_cache = fitting_cache
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
-        self._recipes: list[Any] = [None] * len(inputs)
+        self._recipes: list[Any] = [None] * len(inputs)  # by number; inputs have none
+        self._number_by_recipe: dict[Any, int] = {}
         self._cached_bytes = 0
-        self._index_by_recipe: dict[Any, int] = {}
-        self._reference_recipe_indices = {name: index for index, name in enumerate(inputs)}
-        self._reference_recipe_indices = self._add_recipes(REFERENCE_FORMULAS)
+        # The numbers of the reference picture's values, by name.
+        self._reference_numbers = {name: number for number, name in enumerate(inputs)}
+        self._reference_numbers = self._add_recipes(REFERENCE_FORMULAS)
         self._reference_recipe_count = len(self._recipes)
 
     def _add_recipes(self, replacements: Formulas) -> dict[str, int]:
-        """Add the recipes of a picture's formulas, and return their indices by the formulas' names.
+        """Add the recipes of a picture's values, and return the values' numbers by name.
 
-        Formulas that cannot be computed from the inputs of this cache are omitted.
+        Values that cannot be computed from the inputs of this cache are omitted.
         """
-        index_by_name = self._reference_recipe_indices.copy()
+        number_by_name = self._reference_numbers.copy()
         for name in _list_affected_formulas(tuple(replacements)):
             if name in self._inputs:
                 continue
             formula = replacements.get(name, REFERENCE_FORMULAS[name])
             try:
-                recipe = (formula, *map(index_by_name.__getitem__, list_parameters(formula)))
-            except KeyError:  # an argument cannot be computed, so neither can this formula
-                index_by_name.pop(name, None)
+                recipe = (formula, *map(number_by_name.__getitem__, list_parameters(formula)))
+            except KeyError:  # an argument cannot be computed, so neither can this value
+                number_by_name.pop(name, None)
                 continue
-            index_by_name[name] = self._index_by_recipe.setdefault(recipe, len(self._recipes))
-            if index_by_name[name] == len(self._recipes):
+            number_by_name[name] = self._number_by_recipe.setdefault(recipe, len(self._recipes))
+            if number_by_name[name] == len(self._recipes):
                 self._recipes.append(recipe)
                 self._cached_bytes += _BYTES_PER_RECIPE
-        return index_by_name
+        return number_by_name
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
         """Test whether the inputs of this cache suffice to compute a picture and its replacements.
@@ -152,47 +153,56 @@ class FormulaCache:
         that is the same for all pixels is a number or an array of any shape.  Raise KeyError if the
         inputs of this cache do not suffice.
         """
-        if self._fitting_cache:
-            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & collect_parameters(replacements):
-                fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
-                replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
-        if "samples" in replacements:
-            clipped = self._average_samples(replacements)
-            replacements = replacements | {"clipped": _make_constant_function(clipped)}
-            del replacements["samples"]
         if self._cached_bytes > _MAX_CACHED_BYTES:
             self._discard_mistakes()
-        return self._evaluate_recipe(self._add_recipes(replacements)[name])
+        replacements = replacements | self._fit_whole_picture(replacements)
+        if "samples" in replacements:
+            replacements = self._average_samples(replacements)
+        return self._evaluate(self._add_recipes(replacements)[name])
 
-    def _average_samples(self, replacements: Formulas) -> Shaped[Array, "3 n"]:
-        """Average the clipped radiance over a square grid of samples in each pixel."""
-        replacements = replacements.copy()
-        samples_per_side = replacements.pop("samples")()
+    def _fit_whole_picture(self, replacements: Formulas) -> Formulas:
+        """Compute the values of the whole picture that replacements use, from the fitting cache.
+
+        The result has a formula for each value, which returns it.
+        """
+        if not self._fitting_cache:
+            return {}
+        names = mistakes.WHOLE_PICTURE_FORMULAS & collect_parameters(replacements)
+        fitted_values = {name: self._fitting_cache.get_value(name, replacements) for name in names}
+        return {name: _make_constant_function(value) for name, value in fitted_values.items()}
+
+    def _average_samples(self, replacements: Formulas) -> Formulas:
+        """Replace the clipped radiance of each pixel by its mean over a square grid of samples.
+
+        `replacements` contains "samples", whose value is their number along a side of the grid; the
+        result does not contain it.
+        """
+        others = {name: replacements[name] for name in replacements if name != "samples"}
+        samples_per_side = replacements["samples"]()
         distances = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
         radiance_sum = sum(
-            self.get_value("clipped", replacements | make_sample_formulas(x, y))
+            self.get_value("clipped", others | make_sample_formulas(x, y))
             for x, y in product(distances, distances)
         )
-        mean_radiance: Array = radiance_sum / samples_per_side**2
-        return mean_radiance
+        return others | {"clipped": _make_constant_function(radiance_sum / samples_per_side**2)}
 
     def _discard_mistakes(self) -> None:
         """Keep only the recipes and values that the reference picture needs."""
         del self._recipes[self._reference_recipe_count :]
         self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
-        self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
+        self._number_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
         self._cached_bytes = 0
 
-    def _evaluate_recipe(self, index: int) -> Any:
-        """Return the value of a recipe; compute and cache it if it is not yet in the cache."""
-        if index not in self._values:
-            formula, *argument_indices = self._recipes[index]
-            values, evaluate = self._values, self._evaluate_recipe
-            arguments = [values[k] if k in values else evaluate(k) for k in argument_indices]
+    def _evaluate(self, number: int) -> Any:
+        """Return a value by its number; compute and cache it if it is not yet in the cache."""
+        if number not in self._values:
+            formula, *argument_numbers = self._recipes[number]
+            values, evaluate = self._values, self._evaluate
+            arguments = [values[k] if k in values else evaluate(k) for k in argument_numbers]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
-            self._values[index] = value
-        return self._values[index]
+            self._values[number] = value
+        return self._values[number]
 
 
 def _make_constant_function(value: Any) -> Any:
@@ -200,7 +210,7 @@ def _make_constant_function(value: Any) -> Any:
 
 
 def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
-    """Merge the replacements of several mistakes.
+    """Merge the formulas of several mistakes, by name.
 
     Empty if two mistakes replace the same formula, and so exclude each other.
     """
