@@ -23,8 +23,7 @@ from tracer.arrays import Floats, Ints, Triple, find, mark_run_starts, scale
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import bound_variation
 
-# The six points of a cell: the center; the centers of the right, left, lower and upper sides; and
-# the lower right corner.
+# The six points of a cell, in the order that `compute_rays` states.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 

@@ -385,7 +385,7 @@ class CellSurfaces(NamedTuple):
 def _compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n"]:
     """Compute the radius of the part of the surface that is visible in the cell of each hit.
 
-    The cells are `cell_width` pixels wide.  The radius is in the scene's unit of length.
+    It is in the scene's unit of length.  The cells are `cell_width` pixels wide.
     """
     cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
     distance = hits.distance

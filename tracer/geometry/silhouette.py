@@ -84,10 +84,10 @@ def compute_miss_angles(
 def bound_variation(values: Shaped[Floats, "6 ..."]) -> Shaped[Floats, "..."]:
     """Bound how much edge functions differ, anywhere in a cell, from their values at the center.
 
-    Each function is replaced by the quadratic polynomial through its values at six points of the
-    cell: the center; the centers of the right, left, lower and upper sides; and the lower right
-    corner.  With x and y from -1 to 1 across the cell, the polynomial differs from its value at the
-    center by a x + b y + c x^2 + d y^2 + e x y, so by at most |a| + |b| + |c| + |d| + |e|.
+    Each function is replaced by the quadratic polynomial through its values at the six points of
+    the cell, which are in the order of this module's docstring.  With x and y from -1 to 1 across
+    the cell, the polynomial differs from its value at the center by a x + b y + c x^2 + d y^2 +
+    e x y, so by at most |a| + |b| + |c| + |d| + |e|.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)

@@ -152,14 +152,16 @@ class Rows(Samples):
 
     def find_spans(self, shape: Shape, bounds: ScreenBounds) -> SampleSpans:
         row_size = self.x.size
-        samples_per_x = self.per_pixel[0]
-        # Rows are shifted by at most half the distance between two columns, or half a pixel.
+        columns_per_pixel = self.per_pixel[0]
+        # Rows are shifted by at most half the distance between two columns, so by half a pixel.
         x_range = self.x[0] - 1, self.x[-1] + 1
-        spans = find_object_spans(shape, bounds, self.y, x_range, pad=_SPAN_PADDING / samples_per_x)
+        spans = find_object_spans(
+            shape, bounds, self.y, x_range, pad=_SPAN_PADDING / columns_per_pixel
+        )
         first_x = self.x[0] + self.shift[spans.row]
         # Positions relative to the first sample of the row, in samples.
-        left = (spans.left - first_x) * samples_per_x
-        right = (spans.right - first_x) * samples_per_x
+        left = (spans.left - first_x) * columns_per_pixel
+        right = (spans.right - first_x) * columns_per_pixel
         span_start = np.ceil(left).clip(0, row_size).astype(np.intp)
         span_end = (np.floor(right) + 1).clip(0, row_size).astype(np.intp)
         return SampleSpans(
