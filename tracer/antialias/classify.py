@@ -24,11 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.cells import Cells
 from tracer.antialias.edge_functions import Lines, fit_lines
 from tracer.antialias.edges import CellSurfaces, find_silhouettes_from_eye
-from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
-from tracer.arrays import Bools, Floats, Ints, find
+from tracer.arrays import Bools, Ints
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
 from tracer.trace.occlusion import find_shadow_edges
@@ -50,56 +50,6 @@ MAX_LINES = 4
 # than `MAX_LINES` lines is crowded.  Tuned on a scene with 200 lights, where 16 samples per pixel
 # would otherwise take twice as long.
 _MAX_DETAILED_LIGHTS = 24
-
-
-class Cells(NamedTuple):
-    """Square cells of the picture, all of the same width."""
-
-    width: float  # of each cell, in pixels
-    # The result should be as accurate as a uniform grid of this many samples along each side of a
-    # cell.  The number decides whether a cell that edges cross is sampled or divided.
-    samples_per_side: int
-    # Maximum error of the mean radiance of a cell.  It decides which edges are straight enough to
-    # be represented by lines, and which smooth cells need no more samples.
-    tolerance: float
-    center_x: Shaped[Floats, "cells"]  # in pixels from the left edge of the picture
-    center_y: Shaped[Floats, "cells"]  # in pixels from its upper edge
-    # Pairs of a cell and an object whose silhouette may cross the cell.
-    pair_cell_index: Shaped[Ints, "pairs"]
-    pair_object_index: Shaped[Ints, "pairs"]
-
-    def to_picture(
-        self, cell_index: Shaped[Ints, "n"], point_in_cell: Shaped[Points2D, "n"]
-    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Convert points x + iy of cells to x and y in the picture.
-
-        Points are relative to the center of their cell, in units of its width.
-        """
-        x = self.center_x[cell_index] + self.width * point_in_cell.real
-        y = self.center_y[cell_index] + self.width * point_in_cell.imag
-        return x, y
-
-    def divide(self, cell_index: Shaped[Ints, "n"]) -> Cells:
-        """Divide the given cells into quarters; the four of the first given cell come first.
-
-        `cell_index` must not contain duplicates.  Each quarter has half of the samples along each
-        side, rounded up.  It is paired with the same objects as the divided cell.
-        """
-        quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
-        x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
-        divided_index = np.full(self.center_x.size, -1)  # of each cell; -1 if it is not divided
-        divided_index[cell_index] = np.arange(cell_index.size)
-        pair_divided_index = divided_index[self.pair_cell_index]
-        kept_index = find(pair_divided_index >= 0)
-        return Cells(
-            width=self.width / 2,
-            samples_per_side=(self.samples_per_side + 1) // 2,
-            tolerance=self.tolerance,
-            center_x=x,
-            center_y=y,
-            pair_cell_index=(4 * pair_divided_index[kept_index, None] + np.arange(4)).ravel(),
-            pair_object_index=self.pair_object_index[kept_index].repeat(4),
-        )
 
 
 class Classification(NamedTuple):
@@ -160,14 +110,7 @@ def _find_edges_of_surfaces(
     scene: PreparedScene, cells: Cells, surfaces: CellSurfaces, hidden_hits: Hits
 ) -> _FoundEdges:
     """Find the edges that do not depend on lights: silhouettes, intersections and creases."""
-    silhouettes = find_silhouettes_from_eye(
-        scene,
-        cells.center_x[cells.pair_cell_index],
-        cells.center_y[cells.pair_cell_index],
-        cells.width,
-        cell_index=cells.pair_cell_index,
-        object_index=cells.pair_object_index,
-    )
+    silhouettes = find_silhouettes_from_eye(scene, cells)
     intersections = surfaces.find_intersections(hidden_hits)
     edges = chain(silhouettes, intersections, surfaces.find_creases())
     lines, curved_cell_index = fit_lines(edges, cells.tolerance)

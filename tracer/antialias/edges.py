@@ -36,6 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.cells import Cells
 from tracer.antialias.edge_functions import EdgeValues, compute_rays
 from tracer.arrays import (
     Bools,
@@ -56,31 +57,20 @@ from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import PreparedScene
 
 
-def find_silhouettes_from_eye(
-    scene: PreparedScene,
-    center_x: Shaped[Floats, "pairs"],
-    center_y: Shaped[Floats, "pairs"],
-    cell_width: float,
-    *,
-    cell_index: Shaped[Ints, "pairs"],
-    object_index: Shaped[Ints, "pairs"],
-) -> Iterator[EdgeValues]:
-    """Yield the silhouettes of objects, seen from the eye, that may cross cells.
-
-    Only the given pairs of a cell and an object are examined.  The center of the cell of each pair,
-    and the width of all cells, are in pixels.
-    """
+def find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+    """Yield the silhouettes of objects, seen from the eye, that may cross cells."""
     frame = scene.frame
-    for batch in split_indices(np.arange(cell_index.size)):
-        ray_x = frame.to_ray_x(center_x[batch])
-        ray_y = frame.to_ray_y(center_y[batch])
+    for batch in split_indices(np.arange(cells.pair_cell_index.size)):
+        cell_index = cells.pair_cell_index[batch]
+        ray_x = frame.to_ray_x(cells.center_x[cell_index])
+        ray_y = frame.to_ray_y(cells.center_y[cell_index])
         yield from _evaluate_silhouettes(
             scene,
             frame.eye[None],
-            compute_rays(frame, ray_x, ray_y, cell_width),
-            viewpoint_index=np.zeros_like(batch),
-            cell_index=cell_index[batch],
-            object_index=object_index[batch],
+            compute_rays(frame, ray_x, ray_y, cells.width),
+            viewpoint_index=np.zeros_like(cell_index),
+            cell_index=cell_index,
+            object_index=cells.pair_object_index[batch],
         )
 
 

@@ -41,7 +41,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, Classification, classify_cells
+from tracer.antialias.cells import Cells
+from tracer.antialias.classify import Classification, classify_cells
 from tracer.antialias.edge_functions import Lines
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
