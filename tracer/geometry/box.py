@@ -34,10 +34,7 @@ from tracer.geometry.rounding import (
     compute_hit_tolerance,
 )
 from tracer.geometry.screen_bounds import ScreenBounds
-from tracer.geometry.shape import (
-    Shape,
-    SilhouetteEdges,
-)
+from tracer.geometry.shape import Shape, SilhouetteEdges
 from tracer.geometry.silhouette import bound_variation, evaluate_box_edges, find_edge_planes
 from tracer.scene.model import Box, Surfaces
 
@@ -114,52 +111,53 @@ class Boxes(Shape):
         ray_x: Shaped[Floats, "n"],
         ray_count: Shaped[Ints, "spans"] | None,
     ) -> tuple[Shaped[Floats, "n"], Shaped[Sides, "n"]]:
-        """See `Shape.intersect`; a ray that lies in the plane of a face counts as in its slab."""
+        """See `Shape.intersect`.  A ray in the plane of a face is inside the slab of this face."""
         frame, box_index = self.frame, self.objects.to_local(object_index)
-        enter_ts, leave_ts, face_codes = [], [], []
+        # Where each ray enters and leaves the slabs of x, y and z, and the face that it may hit.
+        slab_enter_t, slab_leave_t, slab_face_code = [], [], []
         for axis, direction in enumerate(self.iterate_directions(ray_y, ray_x, ray_count)):
             low = self.min_pt[axis, box_index] - frame.eye[axis]
             high = self.max_pt[axis, box_index] - frame.eye[axis]
             low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
-            enter_t, leave_t = _intersect_slab(low, high, direction, is_closed=True)
-            enter_ts.append(enter_t)
-            leave_ts.append(leave_t)
+            near_t, far_t = _intersect_slab(low, high, direction, is_closed=True)
+            slab_enter_t.append(near_t)
+            slab_leave_t.append(far_t)
             # The normal of a visible face points against the ray.
-            face_codes.append((direction < 0).view(np.int8) + np.int8(2 * axis))
-        enter_t = np.maximum(np.maximum(enter_ts[0], enter_ts[1]), enter_ts[2])
-        leave_t = np.minimum(np.minimum(leave_ts[0], leave_ts[1]), leave_ts[2])
+            slab_face_code.append((direction < 0).view(np.int8) + np.int8(2 * axis))
+        enter_t = np.maximum(np.maximum(slab_enter_t[0], slab_enter_t[1]), slab_enter_t[2])
+        leave_t = np.minimum(np.minimum(slab_leave_t[0], slab_leave_t[1]), slab_leave_t[2])
         is_hit = enter_t <= leave_t
-        t, face_ts = enter_t, enter_ts
+        t, slab_t = enter_t, slab_enter_t
         is_eye_inside = self.is_eye_inside[box_index]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
             is_hit |= is_eye_inside
             t = np.where(is_eye_inside, leave_t, enter_t)
-            face_ts = [
-                np.where(is_eye_inside, axis_leave_t, axis_enter_t)
-                for axis_enter_t, axis_leave_t in zip(enter_ts, leave_ts, strict=True)
+            slab_t = [
+                np.where(is_eye_inside, far_t, near_t)
+                for near_t, far_t in zip(slab_enter_t, slab_leave_t, strict=True)
             ]
         # A ray through an edge or a corner hits the face of the first axis.
-        face_code = np.where(face_ts[1] == t, face_codes[1], face_codes[2])
-        face_code = np.where(face_ts[0] == t, face_codes[0], face_code)
+        face_code = np.where(slab_t[1] == t, slab_face_code[1], slab_face_code[2])
+        face_code = np.where(slab_t[0] == t, slab_face_code[0], face_code)
         return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def are_rows_bounded_by_ends(self) -> bool:
         return True  # the hits of a row on one face lie on a straight line
 
-    # Tests of shadow segments: segments from hits to lights.
+    # Tests of shadow segments.
 
     def get_corners(
         self, object_index: Shaped[Ints, "n"]
     ) -> tuple[Shaped[Triple, "n"], Shaped[Triple, "n"]]:
-        """Look up the corners with the smallest and with the largest coordinates."""
+        """Look up the corners with the smallest and with the largest coordinates of each box."""
         box_index = self.objects.to_local(object_index)
         return take(self.min_pt, box_index), take(self.max_pt, box_index)
 
     def find_light_side(
         self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
     ) -> Shaped[Sides, "... n"]:
-        """See `Shape.find_light_side`; a light on a face counts as outside."""
+        """See `Shape.find_light_side`.  A light on a face counts as outside."""
         distance = self.measure_distance(object_index, light)
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 
@@ -179,7 +177,7 @@ class Boxes(Shape):
         light_side: Shaped[Sides, "n"],
         growth: Shaped[Floats, "n"] | None = None,
     ) -> Shaped[Bools, "n"]:
-        """See `Shape.occludes`; a segment in the plane of a face is not blocked.
+        """See `Shape.occludes`.  A segment in the plane of a face is not blocked.
 
         Before the test, ends within rounding error of the plane of a face are moved onto it.
         """
@@ -238,7 +236,7 @@ class Boxes(Shape):
         viewpoint: Shaped[Floats, "3 n"],
         ray: Shaped[Triple, "#6 n"],
     ) -> SilhouetteEdges:
-        """See `Shape.find_silhouettes`; a box has up to six edges."""
+        """See `Shape.find_silhouettes`.  The outline of a box has up to six edges."""
         box_index = self.objects.to_local(object_index)
         to_low = self.min_pt[:, box_index] - viewpoint
         to_high = self.max_pt[:, box_index] - viewpoint
@@ -323,10 +321,11 @@ def _snap_to_faces(
 def find_box_bounds(
     frame: CameraFrame, low: Shaped[Floats, "3 n"], high: Shaped[Floats, "3 n"]
 ) -> ScreenBounds:
-    """Compute bounding rectangles of boxes, given by vectors from the eye to opposite corners.
+    """Compute the bounding rectangle of each box in the picture.
 
-    The rectangle is infinite if the box is partly behind the eye, and outside the picture if it is
-    entirely behind the eye.
+    `low` and `high` are vectors, in scene axes, from the eye to the corners with the smallest and
+    with the largest coordinates.  The rectangle is infinite if the box is partly behind the eye,
+    and outside the picture if the box is entirely behind the eye.
     """
     # Bit `axis` of i is 1 if corner i has the coordinate `high` along this axis, and 0 for `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))

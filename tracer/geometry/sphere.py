@@ -1,6 +1,7 @@
 """Spheres: see `shape` for what the methods promise.
 
-In this module, `sphere_index` numbers the spheres.
+In this module, `sphere_index` numbers the spheres.  The *power* of the eye with respect to a sphere
+is |centre - eye|^2 - radius^2: positive if the eye is outside, and 0 if it is on the sphere.
 """
 
 from __future__ import annotations
@@ -44,13 +45,14 @@ from tracer.scene.model import Sphere, Surfaces
 class _Discs(NamedTuple):
     """The discs that planes through the eye cut from spheres.
 
-    A point in a plane has a rightward and a forward coordinate, relative to the eye.
+    The rays of a row of the picture lie in such a plane.  A point in it has a rightward and a
+    forward coordinate, relative to the eye.
     """
 
     center_right: Shaped[Floats, "n"]
     center_ahead: Shaped[Floats, "n"]
-    radius2: Shaped[Floats, "n"]  # squared radius; negative if the plane misses the sphere
-    ray_ahead: Shaped[Floats, "n"]  # forward component of rays in the plane
+    squared_radius: Shaped[Floats, "n"]  # negative if the plane misses the sphere
+    ray_ahead: Shaped[Floats, "n"]  # forward component of the directions of all rays in the plane
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,8 +65,7 @@ class Spheres(Shape):
     center: Shaped[Floats, "3 objects"]  # in scene axes
     radius: Shaped[Floats, "objects"]
     from_eye: Shaped[Triple, "objects"]  # vectors from the eye to the centres, in camera axes
-    # |centre - eye|^2 - radius^2: positive if the eye is outside, 0 if it is on the sphere.
-    power: Shaped[Floats, "objects"]
+    power: Shaped[Floats, "objects"]  # of the eye
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
@@ -111,7 +112,7 @@ class Spheres(Shape):
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
         discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_y(top + height / 2))
         min_slope, max_slope = _find_slope_range(
-            discs.center_right, discs.center_ahead, discs.radius2, power
+            discs.center_right, discs.center_ahead, discs.squared_radius, power
         )
         left = frame.to_picture_x(min_slope * discs.ray_ahead)
         right = frame.to_picture_x(max_slope * discs.ray_ahead)
@@ -123,9 +124,9 @@ class Spheres(Shape):
         radius: Shaped[Floats, "n"],
         ray_y: Shaped[Floats, "n"],
     ) -> _Discs:
-        """Compute the disc that the plane of rays with this `ray_y` cuts from each sphere.
+        """Compute the disc that the plane of all rays with the given `ray_y` cuts from each sphere.
 
-        The given radius replaces the sphere's own.
+        The spheres have the given radius, which may differ from `self.radius`.
         """
         right, down, ahead = take(self.from_eye, sphere_index)
         depth = self.frame.depth
@@ -134,7 +135,7 @@ class Spheres(Shape):
         return _Discs(
             center_right=right,
             center_ahead=(down * ray_y + ahead * depth) / ray_ahead,
-            radius2=(radius - plane_distance) * (radius + plane_distance),
+            squared_radius=(radius - plane_distance) * (radius + plane_distance),
             ray_ahead=ray_ahead,
         )
 
@@ -147,21 +148,24 @@ class Spheres(Shape):
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         """See `Shape.intersect`.
 
-        The second result is the absolute dot product of the ray's direction and the vector from the
-        centre to the hit.
+        The second result, `radial_dot`, is the absolute dot product of the direction of the ray and
+        the vector from the centre to the hit.
         """
         sphere_index = self.objects.to_local(object_index)
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_y)
         depth = self.frame.depth
-        length2 = ray_x * ray_x + repeat_runs(ray_y * ray_y + depth * depth, ray_count)
-        # The point t d of the ray is on the sphere with the centre c if |t d - c|^2 = radius^2, or
-        # A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The nearer
-        # root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
-        # the disc in the plane of the span (Haines, Günther and Akenine-Möller, Precision
-        # improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
+        squared_length = ray_x * ray_x + repeat_runs(ray_y * ray_y + depth * depth, ray_count)
+        # The point t d of the ray is on the sphere with the centre c if |t d - c|^2 = radius^2.
+        # With A = `squared_length`, B = `dot_product` and C = `power`, this is the equation
+        # A t^2 - 2 B t + C = 0.  The nearer root is C / (B + sqrt(B^2 - A C)).  For precision, the
+        # square root is computed from the disc in the plane of the span (Haines, Günther and
+        # Akenine-Möller, Precision improvements for ray/sphere intersection, Ray Tracing Gems,
+        # ch. 7).
         cross_product = repeat_runs(discs.center_right * discs.ray_ahead, ray_count)
         cross_product -= repeat_runs(discs.center_ahead, ray_count) * ray_x
-        radial_dot = np.sqrt(length2 * repeat_runs(discs.radius2, ray_count) - cross_product**2)
+        radial_dot = np.sqrt(
+            squared_length * repeat_runs(discs.squared_radius, ray_count) - cross_product**2
+        )
         dot_product = repeat_runs(discs.center_right, ray_count) * ray_x
         dot_product += repeat_runs(discs.center_ahead * discs.ray_ahead, ray_count)
         divisor = dot_product + radial_dot
@@ -170,7 +174,9 @@ class Spheres(Shape):
         power = repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - radial_dot))
+            far_t = np.where(
+                dot_product > 0, divisor / squared_length, power / (dot_product - radial_dot)
+            )
             t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), radial_dot
@@ -222,7 +228,8 @@ class Spheres(Shape):
     ) -> Shaped[Bools, "n"]:
         """See `Shape.occludes`.
 
-        If the hit is on the sphere, the segment starts on the eye's side of the surface.
+        If the hit is on the sphere, its segment to the light starts on the eye's side of the
+        surface.
         """
         sphere_index = self.objects.to_local(object_index)
         to_light = map_xyz(np.subtract, light, hit)
@@ -230,8 +237,8 @@ class Spheres(Shape):
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the segment is blocked if the point of its line that is closest
-        # to the centre is inside the sphere, and between the ends.
+        # If both ends are outside, consider the point of the segment's line that is closest to the
+        # centre.  The segment is blocked if this point is inside the sphere and between the ends.
         projection = dot(to_center, to_light)
         squared_length = dot(to_light, to_light)
         closest_t = projection / squared_length
@@ -265,24 +272,26 @@ class Spheres(Shape):
         axis = map_xyz(np.subtract, axis_end, axis_start)
         to_center = map_xyz(np.subtract, center, axis_start)
         projection = dot(to_center, axis)
-        length2 = dot(axis, axis)
-        start_distance2 = dot(to_center, to_center)
-        end_distance2 = start_distance2 - 2 * projection + length2
-        # Squared distance of the centre from the line that contains the axis.
-        line_distance2 = start_distance2 - projection * projection / length2
+        squared_length = dot(axis, axis)
+        squared_start_distance = dot(to_center, to_center)
+        squared_end_distance = squared_start_distance - 2 * projection + squared_length
+        # Distance of the centre from the line that contains the axis.
+        squared_line_distance = squared_start_distance - projection * projection / squared_length
         # Bound on the rounding errors of squared distances.
-        square_error = SQUARE_ROUNDING * start_distance2
-        outer_radius2 = (radius + capsule_radius) ** 2 + square_error
-        inner_radius2 = np.maximum(radius - capsule_radius, 0) ** 2 - square_error
-        starts_outside = start_distance2 > outer_radius2
-        ends_outside = end_distance2 > outer_radius2
+        square_error = SQUARE_ROUNDING * squared_start_distance
+        squared_outer_radius = (radius + capsule_radius) ** 2 + square_error
+        squared_inner_radius = np.maximum(radius - capsule_radius, 0) ** 2 - square_error
+        starts_outside = squared_start_distance > squared_outer_radius
+        ends_outside = squared_end_distance > squared_outer_radius
         # Whether the centre projects to a point before the start of the axis, or past its end.
         is_before_start = projection < 0
-        is_past_end = projection > length2
-        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
-        # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
-        misses_line = line_distance2 > outer_radius2
-        cuts_line = line_distance2 < inner_radius2
+        is_past_end = projection > squared_length
+        contains_capsule = (
+            np.maximum(squared_start_distance, squared_end_distance) < squared_inner_radius
+        )
+        # If the axis is a single point, `squared_line_distance` is NaN, and `blocks_all` is False.
+        misses_line = squared_line_distance > squared_outer_radius
+        cuts_line = squared_line_distance < squared_inner_radius
         misses = misses_line | (starts_outside & is_before_start) | (ends_outside & is_past_end)
         may_block = ~(misses | contains_capsule)
         blocks_all = starts_outside & ~(is_before_start | is_past_end) & cuts_line
@@ -355,10 +364,18 @@ def _decide_by_sides(
     squared_length: Shaped[Floats, "n"],
     is_eye_inside: Shaped[Bools, "n"],
 ) -> Shaped[Bools, "n"]:
-    """Decide whether spheres block segments that have an end inside or on the sphere.
+    """Decide whether spheres block segments of which an end is inside or on the sphere.
 
-    `projection` is the dot product of the vectors from the hit to the centre and to the light;
-    `squared_length` is that of the segment.
+    Each segment leads from a hit to a light.
+
+    Parameters
+    ----------
+    hit_side, light_side
+        On which side of the sphere the ends of the segment are: `OUTSIDE`, `ON` or `INSIDE`.
+    projection
+        Dot product of the vectors from the hit to the centre of the sphere and to the light.
+    squared_length
+        Dot product of the vector from the hit to the light with itself.
     """
     # A hit on the surface lies on the eye's side.  From inside, the segment must not leave the
     # sphere; from outside, it must not enter the sphere.
@@ -377,33 +394,38 @@ def _decide_by_sides(
 def _find_screen_bounds(
     frame: CameraFrame, center: Shaped[Triple, "n"], radius: Shaped[Floats, "n"]
 ) -> ScreenBounds:
-    """Compute bounding rectangles of spheres, given by vectors from the eye to their centres."""
+    """Compute the bounding rectangle of each sphere in the picture.
+
+    The centres are vectors from the eye, in camera axes.
+    """
     right, down, ahead = center
-    radius2 = radius * radius
-    y_slopes, x_slopes = (
-        _find_slope_range(offset, ahead, radius2, offset * offset + ahead * ahead - radius2)
-        for offset in (down, right)
-    )
+    squared_radius = radius * radius
+    # Projected along an axis of the camera, a sphere is a disc.
+    x_power = right * right + ahead * ahead - squared_radius
+    y_power = down * down + ahead * ahead - squared_radius
+    x_slopes = _find_slope_range(right, ahead, squared_radius, x_power)
+    y_slopes = _find_slope_range(down, ahead, squared_radius, y_power)
     return ScreenBounds.from_slopes(frame, y_slopes, x_slopes)
 
 
 def _find_slope_range(
     center_right: Shaped[Floats, "n"],
     center_ahead: Shaped[Floats, "n"],
-    disc_radius2: Shaped[Floats, "n"],
+    squared_radius: Shaped[Floats, "n"],
     power: Shaped[Floats, "n"],
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-    """Compute the slopes, right / ahead, of the two tangents from the origin to each disc.
+    """Compute the smallest and the largest slope of rays that point ahead and meet each disc.
 
-    These are the smallest and the largest slope of rays that point ahead and meet the disc; NaN if
-    there is no disc (`disc_radius2` < 0 or NaN).  `power` is the squared distance of the centre
-    from the origin, minus `disc_radius2`: negative if the origin is inside the disc.
+    The slope is right / ahead.  It is infinite if the ray points straight to the right or to the
+    left.  It is NaN if `squared_radius` is negative or NaN, which means that there is no disc.
+    `power` is the squared distance of the disc's centre from the eye, minus `squared_radius`.
     """
-    # Both tangents make the same angle with the direction of the centre.  This angle is set to
-    # infinity if the origin is inside the disc, and to pi / 2 if it is almost on the disc's edge.
-    center_distance2 = center_right * center_right + center_ahead * center_ahead
-    min_power = np.maximum(power - MIN_POWER * center_distance2, 0)
-    half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(min_power))
+    # The rays with these slopes are the tangents from the eye.  Both make the same angle with the
+    # direction of the centre: set to infinity if the eye is inside the disc, and to pi / 2 if the
+    # eye is almost on its edge.
+    squared_distance = center_right * center_right + center_ahead * center_ahead
+    min_power = np.maximum(power - MIN_POWER * squared_distance, 0)
+    half_angle = np.arctan2(np.sqrt(squared_radius), np.sqrt(min_power))
     center_angle = np.arctan2(center_right, center_ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
