@@ -6,8 +6,6 @@ Each edge function is evaluated at six points of a cell.  The quadratic polynomi
 values shows where the edge crosses the cell, and how much it turns there.  If it turns little, a
 straight line represents it.
 
-Positions in a cell are relative to its center, in units of its width; the y-axis points down.
-
 Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 """
 
@@ -23,7 +21,7 @@ from tracer.arrays import Floats, Ints, Triple, find, mark_run_starts, scale
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import bound_variation
 
-# The six points of a cell, in the order that `compute_rays` states.
+# The six points of a cell, in the order that `compute_rays` states and the coordinates of `Lines`.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
@@ -46,6 +44,7 @@ class EdgeValues(NamedTuple):
 class Lines(NamedTuple):
     """Straight lines c + a x + b y = 0 that cross cells.
 
+    The position (x, y) is relative to the center of the cell, in units of its width; y points down.
     The coefficients are scaled so that the maximum of |a x + b y| in the cell is 1, and that a > 0
     (or b > 0 if a = 0).
     """
@@ -162,7 +161,7 @@ def _fit_line_batch(edges: EdgeValues, max_turn: float) -> FittedLines:
 
 
 class _Quadratics(NamedTuple):
-    """Quadratic polynomials c + g . p + p . H p / 2 of a position p = (x, y) in a cell.
+    """Quadratic polynomials c + g . p + p . H p / 2 of a position p = (x, y), as in `Lines`.
 
     The vector g = (a, b) is the gradient at the center, and H is the symmetric matrix of second
     derivatives.  In the cell, a polynomial differs from c by at most 1.

@@ -120,6 +120,7 @@ class _ExtendedFaces(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Hits) -> _ExtendedFaces:
+        """Collect the face that each hit is on, in the order of the hits."""
         scaled_normal = np.empty(hits.from_eye.shape)
         curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
         for group in hits.groups:
@@ -173,6 +174,7 @@ class CellSurfaces(NamedTuple):
     def from_hits(
         cls, hits: Hits, cell_index: Shaped[Ints, "hits"], cell_width: float
     ) -> CellSurfaces:
+        """Collect the surfaces at the hits of cells, which are `cell_width` pixels wide."""
         return cls(
             hits=hits,
             faces=_ExtendedFaces.from_hits(hits),

@@ -228,6 +228,8 @@ class _PointMoments(NamedTuple):
 def _compute_moments(
     position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"], region_count: int
 ) -> _PointMoments:
+    """Compute the mean and the covariance of the points in each region."""
+
     def average(values: Shaped[Floats, "n"]) -> Shaped[Floats, "region_count"]:
         return _sum_by_region(region_index, values, region_count) / point_count
 
