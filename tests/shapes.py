@@ -15,16 +15,17 @@ fields of its class.  Fields are checked when an object is created, and again wh
 methods is called.  Results of generators are checked item by item: a name that occurs only there
 may have another size in each item.  All other types are left to mypy.
 
-Not checked are functions and classes inside functions, lambdas, functions that a module stores in a
-table while it is imported, items of iterators that are arguments, arguments of callables, and all
-code in processes that are not forked.  Functions and classes are checked if the word Shaped is in
-their annotations; the name of an alias that contains it is not enough.
+Not checked are functions and classes inside functions, lambdas, functions that a module stores
+while it is imported in anything but a dictionary, items of iterators that are arguments, arguments
+of callables, and all code in processes that are not forked.  Functions and classes are checked if
+the word Shaped is in their annotations; the name of an alias that contains it is not enough.
 
 All data of a call are local to it, so several threads may call a function at the same time.
 """
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property, lru_cache, wraps
@@ -51,6 +52,7 @@ Test: TypeAlias = Callable[[Any, Sizes], bool]
 
 # Values with one of these types cannot be checked without using them up, or calling them.
 _OPAQUE = {Callable, Generator, Iterable, Iterator}
+_MISSING = object()
 
 
 class ShapeError(AssertionError):
@@ -59,54 +61,73 @@ class ShapeError(AssertionError):
     It is no TypeError or ValueError, which the checked code may catch.
     """
 
-
-class _Dimension(NamedTuple):
-    may_be_one: bool
-    name: str  # "" if there is a formula
-    increment: int
-    formula: CodeType | None
+    def __init__(self, place: str, value: Any, hint: Any, sizes: Sizes) -> None:
+        super().__init__(f"{place} is {describe(value)}, but should be {hint} with {sizes}")
 
 
-def _parse_dimension(text: str) -> _Dimension:
-    formula = text.removeprefix("#")
+def _write_condition(dimension: str, size: str) -> str:
+    """Return source code that compares the size of a dimension, and may add it to `sizes`.
+
+    `dimension` is a part of a shape, and `size` is the source code of its size.
+    """
+    formula = dimension.removeprefix("#")
     name, _, increment = formula.partition("+")
-    is_name = name.isidentifier() and (increment.isdigit() or formula == name)
-    if not is_name:
-        return _Dimension(text[0] == "#", "", 0, compile(formula, text, "eval"))
-    return _Dimension(text[0] == "#", name, int(increment or 0), None)
+    if formula.isdigit():
+        condition = f"{size} == {formula}"
+    elif name.isidentifier() and not increment:
+        condition = f"sizes.setdefault({name!r}, {size}) == {size}"
+    elif name.isidentifier() and increment.isdigit():
+        rest = f"{size} - {increment}"
+        condition = f"{rest} >= 0 and sizes.setdefault({name!r}, {rest}) == {rest}"
+    else:
+        condition = f"{size} == evaluate({formula!r}, sizes)"
+    return f"({size} == 1 or {condition})" if dimension.startswith("#") else condition
 
 
-def compile_shape(text: str) -> Callable[[tuple[int, ...], Sizes], bool]:
-    """Return a function that compares a shape with a text, and adds new names to the sizes."""
+@cache
+def _compile_formula(formula: str) -> CodeType:
+    return compile(formula, formula, "eval")
+
+
+def _evaluate(formula: str, sizes: Sizes) -> int | None:
+    """Return the value of a formula; None if it has a name whose size is not known."""
+    try:
+        return int(eval(_compile_formula(formula), {}, sizes))
+    except NameError:
+        return None
+
+
+def _compile_array(dtype: Any, text: str) -> Test:
+    """Compile the hint of an array of this shape, whose dtype is np.dtype[SCALAR].
+
+    The test is generated as source code, since nearly all time of the checks is spent in it.
+    """
+    (scalar,) = get_args(dtype) or (np.generic,)
+    if scalar is Any:
+        scalars: tuple[type, ...] = (np.generic,)
+    elif get_origin(scalar) in (Union, UnionType):
+        scalars = get_args(scalar)
+    else:
+        scalars = (get_origin(scalar) or scalar,)
     parts = text.split()
-    start = parts.index("...") if "..." in parts else None
-    dimensions = [_parse_dimension(part) for part in parts if part != "..."]
-    count = len(dimensions)
-
-    def has_shape(shape: tuple[int, ...], sizes: Sizes) -> bool:
-        if start is not None and len(shape) > count:
-            shape = shape[:start] + shape[len(shape) - (count - start) :]
-        if len(shape) != count:
-            return False
-        new_sizes: Sizes = {}
-        for size, (may_be_one, name, increment, formula) in zip(shape, dimensions, strict=True):
-            if name in sizes and size == sizes[name] + increment:
-                continue
-            if may_be_one and size == 1:
-                continue
-            if formula is not None:
-                expected = eval(formula, {}, sizes | new_sizes)
-            elif name in sizes:
-                return False
-            else:
-                expected = new_sizes.setdefault(name, size - increment) + increment
-            if size != expected or size < increment:
-                return False
-        if new_sizes:
-            sizes.update(new_sizes)
-        return True
-
-    return has_shape
+    start = parts.index("...") if "..." in parts else len(parts)
+    dimensions = [part for part in parts if part != "..."]
+    conditions = [
+        "isinstance(value, arrays)",
+        "value.dtype.type in types",
+        f"len(value.shape) {'>=' if '...' in parts else '=='} {len(dimensions)}",
+    ]
+    for index, dimension in enumerate(dimensions):
+        place = index if index < start else index - len(dimensions)
+        conditions.append(_write_condition(dimension, f"value.shape[{place}]"))
+    names = {
+        # NumPy returns scalars for arrays without dimensions.
+        "arrays": (np.ndarray, np.generic),
+        "types": {each for each in np.sctypeDict.values() if issubclass(each, scalars)},
+        "evaluate": _evaluate,
+    }
+    test: Test = eval(f"lambda value, sizes: {' and '.join(conditions)}", names)
+    return test
 
 
 def compile_hint(hint: Any, text: str | None = None) -> Test | None:
@@ -142,31 +163,13 @@ def compile_hint(hint: Any, text: str | None = None) -> Test | None:
     raise TypeError(f"{hint}: arrays in {origin} cannot be checked")
 
 
-def _compile_array(dtype: Any, text: str) -> Test:
-    """Compile the hint of an array, whose dtype is np.dtype[SCALAR]."""
-    (scalar,) = get_args(dtype) or (np.generic,)
-    if scalar is Any:
-        scalars: tuple[type, ...] = (np.generic,)
-    elif get_origin(scalar) in (Union, UnionType):
-        scalars = get_args(scalar)
-    else:
-        scalars = (get_origin(scalar) or scalar,)
-    has_shape = compile_shape(text)
-
-    def test_array(value: Any, sizes: Sizes) -> bool:
-        # NumPy returns scalars for arrays without dimensions.
-        is_array = isinstance(value, np.ndarray | np.generic)
-        return is_array and issubclass(value.dtype.type, scalars) and has_shape(value.shape, sizes)
-
-    return test_array
-
-
 def _compile_union(hints: Sequence[Any], shape_tests: Sequence[Test | None]) -> Test:
     """Compile a union of hints, of which at least one has a test."""
     pairs = list(zip(hints, shape_tests, strict=True))
-    tests = [test or _compile_type(hint) for hint, test in pairs]
-    # The usual case, for speed.
-    is_optional = any(hint is type(None) for hint in hints)
+    is_optional = type(None) in hints
+    tests = [test or _compile_type(hint) for hint, test in pairs if hint is not type(None)]
+    if is_optional and len(tests) == 1:  # the usual case, for speed
+        return lambda value, sizes: value is None or tests[0](value, sizes)
 
     def test_union(value: Any, sizes: Sizes) -> bool:
         if value is None:
@@ -200,8 +203,10 @@ def _compile_tuple(tests: Sequence[Test | None]) -> Test:
     def test_tuple(value: Any, sizes: Sizes) -> bool:
         if not isinstance(value, tuple) or len(value) != len(tests):
             return False
-        pairs = zip(value, tests, strict=True)
-        return all(test is None or test(item, sizes) for item, test in pairs)
+        for item, test in zip(value, tests, strict=True):
+            if test and not test(item, sizes):
+                return False
+        return True
 
     return test_tuple
 
@@ -241,19 +246,41 @@ def compile_fields(owner: type) -> _Fields:
     return _Fields(sizes=[name for name, hint in hints.items() if hint is int], tests=tests)
 
 
-@cache
-def compile_function(function: Callable[..., Any]) -> dict[str, Test]:
-    """Return the tests of the arguments and of the result of a function, by names.
+class _Signature(NamedTuple):
+    """What is checked in the calls of a function."""
 
-    The test of "return" is that of the items if the function returns an iterator.
-    """
-    tests = {}
+    # Index of each parameter with a shape among the arguments by position, its name, and its test.
+    # The index of a parameter that is passed by name only is too large for any call.
+    parameters: list[tuple[int, str, Test]]
+    rest: tuple[str, Test] | None  # name of *args, and the test of each of them
+    # The test of the result, or of each item if the function returns an iterator.
+    result: Test | None
+    # Parameters that may be sizes, as in `parameters`.
+    sizes: list[tuple[int, str]]
+
+
+@cache
+def compile_function(function: Callable[..., Any]) -> _Signature:
+    """Compile the tests of the arguments and of the result of a function."""
+    tests = dict[str, Test]()
     for name, hint in get_type_hints(function, include_extras=True).items():
         is_iterator = name == "return" and get_origin(hint) in _OPAQUE - {Callable}
-        test = compile_hint(get_args(hint)[0] if is_iterator else hint)
-        if test:
+        if test := compile_hint(get_args(hint)[0] if is_iterator else hint):
             tests[name] = test
-    return tests
+    parameters = inspect.signature(function).parameters.values()
+    rest = next((each.name for each in parameters if each.kind == each.VAR_POSITIONAL), "")
+    places = {
+        each.name: index if each.kind <= each.POSITIONAL_OR_KEYWORD else sys.maxsize
+        for index, each in enumerate(parameters)
+        if each.name != rest
+    }
+    words = set(re.findall(r"\w+", str(function.__annotations__.values())))
+    return _Signature(
+        parameters=[(places[name], name, tests[name]) for name in tests if name in places],
+        rest=(rest, tests[rest]) if rest in tests else None,
+        result=tests.get("return"),
+        sizes=[(index, name) for name, index in places.items() if name in words],
+    )
 
 
 def describe(value: Any) -> str:
@@ -261,19 +288,6 @@ def describe(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"({', '.join(map(describe, value))})"
     return f"{value.dtype}{list(value.shape)}" if hasattr(value, "dtype") else repr(value)[:50]
-
-
-def check(value: Any, test: Test, sizes: Sizes, place: str, hint: Any) -> None:
-    """Raise `ShapeError` if a value does not pass its test.
-
-    `place` and `hint` are for the message: where the value is, and its annotation.
-    """
-    try:
-        is_passed = test(value, sizes)
-    except NameError as error:
-        raise ShapeError(f"{place}: {hint}: {error}") from error
-    if not is_passed:
-        raise ShapeError(f"{place} is {describe(value)}, but should be {hint} with {sizes}")
 
 
 def check_fields(instance: object, owner: type, *, is_complete: bool = True) -> Sizes:
@@ -284,8 +298,11 @@ def check_fields(instance: object, owner: type, *, is_complete: bool = True) -> 
     names, tests = compile_fields(owner)
     sizes = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
     for name, test, place, hint in tests:
-        if is_complete or hasattr(instance, name):
-            check(getattr(instance, name), test, sizes, place, hint)
+        value = getattr(instance, name, _MISSING)
+        if value is _MISSING and not is_complete:
+            continue
+        if not test(value, sizes):
+            raise ShapeError(place, value, hint, sizes)
     return sizes
 
 
@@ -299,31 +316,39 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
         return function
     place = function.__qualname__
     is_generator = inspect.isgeneratorfunction(function)
-    parameters = inspect.signature(function).parameters.values()
-    names = [each.name for each in parameters if each.kind <= each.POSITIONAL_OR_KEYWORD]
-    rest = next((each.name for each in parameters if each.kind == each.VAR_POSITIONAL), "")
+    positional_count = function.__code__.co_argcount
 
     def check_items(items: Iterator[Any], test: Test, sizes: Sizes) -> Iterator[Any]:
         for item in items:
-            check(item, test, dict(sizes), f"{place}: item", hints["return"])
+            item_sizes = dict(sizes)
+            if not test(item, item_sizes):
+                raise ShapeError(f"{place}: item", item, hints["return"], item_sizes)
             yield item
 
     @wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        tests = compile_function(function)
+        signature = compile_function(function)
         sizes = check_fields(args[0], owner, is_complete=False) if owner else {}
-        values = [*zip(names, args, strict=False), *kwargs.items()]
-        values += [(rest, value) for value in args[len(names) :]]
-        sizes |= {name: value for name, value in values if isinstance(value, int)}
-        for name, value in values:
-            if name in tests:
-                check(value, tests[name], sizes, f"{place}: {name}", hints[name])
+        for index, name in signature.sizes:
+            value = args[index] if index < len(args) else kwargs.get(name)
+            if isinstance(value, int):
+                sizes[name] = value
+        for index, name, test in signature.parameters:
+            value = args[index] if index < len(args) else kwargs.get(name, _MISSING)
+            if value is not _MISSING and not test(value, sizes):
+                raise ShapeError(f"{place}: {name}", value, hints[name], sizes)
+        if signature.rest:
+            name, test = signature.rest
+            for value in args[positional_count:]:
+                if not test(value, sizes):
+                    raise ShapeError(f"{place}: {name}", value, hints[name], sizes)
         result = function(*args, **kwargs)
-        if "return" not in tests:
+        if signature.result is None:
             return result
         if is_generator or isinstance(result, Iterator):
-            return check_items(result, tests["return"], sizes)
-        check(result, tests["return"], sizes, f"{place}: result", hints["return"])
+            return check_items(result, signature.result, sizes)
+        if not signature.result(result, sizes):
+            raise ShapeError(f"{place}: result", result, hints["return"], sizes)
         return result
 
     return checked
@@ -364,12 +389,18 @@ def wrap_class(owner: Any) -> None:
 
 
 def wrap_module(module: ModuleType) -> None:
-    """Make the functions and classes of a module check their shapes."""
+    """Make the functions and classes of a module check their shapes.
+
+    Functions in dictionaries of the module are replaced, too.
+    """
+    tables = [value for value in vars(module).values() if isinstance(value, dict)]
     for name, value in list(vars(module).items()):
         if getattr(value, "__module__", None) != module.__name__:
             continue
         if isinstance(value, FunctionType):
-            setattr(module, name, wrap(value))
+            setattr(module, name, checked := wrap(value))
+            for table in tables:
+                table |= {key: checked for key, each in table.items() if each is value}
         elif isinstance(value, type):
             wrap_class(value)
         elif hasattr(value, "cache_parameters"):

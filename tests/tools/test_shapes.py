@@ -57,6 +57,7 @@ def broadcast(a: Shaped[Floats, "n"], b: Shaped[Floats, "3 #n"]): pass
 def ellipsis(a: Shaped[Floats, "3 ... n"]): pass
 def scalar(a: Shaped[Floats, ""]): pass
 def unknown_name(a: Shaped[Floats, "2*k"]): pass
+TABLE = {"argument": argument}
 @cache
 def cached(size: int) -> Shaped[Floats, "size"]: return np.zeros(3)
 
@@ -141,6 +142,7 @@ PASSES: dict[str, Call] = {
     "broadcast": lambda m: (m.broadcast(F2, F32), m.broadcast(F2, np.zeros((3, 1)))),
     "ellipsis": lambda m: (m.ellipsis(np.zeros((3, 7, 8, 2))), m.ellipsis(F32)),
     "scalar": lambda m: m.scalar(F2.sum()),
+    "table of functions": lambda m: m.TABLE["argument"](F2, F32),
     "cached": lambda m: m.cached(3),
     "NamedTuple": lambda m: (m.Named(F2, I2), m.Named(F2), m.Named(F2).compute(F2)),
     "replaced field": lambda m: m.Named(F2, I2)._replace(a=F2),
@@ -188,6 +190,7 @@ FAILS: dict[str, Call] = {
     "ellipsis: first": lambda m: m.ellipsis(F23),
     "scalar": lambda m: m.scalar(F1),
     "unknown name": lambda m: m.unknown_name(F2),
+    "table of functions": lambda m: m.TABLE["argument"](F3, F32),
     "cached": lambda m: m.cached(2),
     "NamedTuple: size": lambda m: m.Named(F2, I3),
     "NamedTuple: dtype": lambda m: m.Named(I2),
