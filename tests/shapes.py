@@ -200,15 +200,11 @@ def _compile_type(hint: Any) -> Test:
 
 
 def _compile_tuple(tests: Sequence[Test | None]) -> Test:
-    def test_tuple(value: Any, sizes: Sizes) -> bool:
-        if not isinstance(value, tuple) or len(value) != len(tests):
-            return False
-        for item, test in zip(value, tests, strict=True):
-            if test and not test(item, sizes):
-                return False
-        return True
-
-    return test_tuple
+    """Compile a tuple with a test, or None, for each item; as source code, for speed."""
+    conditions = ["isinstance(value, tuple)", f"len(value) == {len(tests)}"]
+    conditions += [f"tests[{k}](value[{k}], sizes)" for k, test in enumerate(tests) if test]
+    compiled: Test = eval(f"lambda value, sizes: {' and '.join(conditions)}", {"tests": tests})
+    return compiled
 
 
 def _compile_items(
@@ -255,6 +251,7 @@ class _Signature(NamedTuple):
     rest: tuple[str, Test] | None  # name of *args, and the test of each of them
     # The test of the result, or of each item if the function returns an iterator.
     result: Test | None
+    is_iterator: bool
     # Parameters that may be sizes, as in `parameters`.
     sizes: list[tuple[int, str]]
 
@@ -262,11 +259,11 @@ class _Signature(NamedTuple):
 @cache
 def compile_function(function: Callable[..., Any]) -> _Signature:
     """Compile the tests of the arguments and of the result of a function."""
-    tests = dict[str, Test]()
-    for name, hint in get_type_hints(function, include_extras=True).items():
-        is_iterator = name == "return" and get_origin(hint) in _OPAQUE - {Callable}
-        if test := compile_hint(get_args(hint)[0] if is_iterator else hint):
-            tests[name] = test
+    hints = get_type_hints(function, include_extras=True)
+    is_iterator = get_origin(hints.get("return")) in _OPAQUE - {Callable}
+    if is_iterator:
+        hints["return"] = get_args(hints["return"])[0]
+    tests = {name: test for name, hint in hints.items() if (test := compile_hint(hint))}
     parameters = inspect.signature(function).parameters.values()
     rest = next((each.name for each in parameters if each.kind == each.VAR_POSITIONAL), "")
     places = {
@@ -279,6 +276,7 @@ def compile_function(function: Callable[..., Any]) -> _Signature:
         parameters=[(places[name], name, tests[name]) for name in tests if name in places],
         rest=(rest, tests[rest]) if rest in tests else None,
         result=tests.get("return"),
+        is_iterator=is_iterator,
         sizes=[(index, name) for name, index in places.items() if name in words],
     )
 
@@ -315,7 +313,6 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
     if "Shaped" not in str(hints.values()):
         return function
     place = function.__qualname__
-    is_generator = inspect.isgeneratorfunction(function)
     positional_count = function.__code__.co_argcount
 
     def check_items(items: Iterator[Any], test: Test, sizes: Sizes) -> Iterator[Any]:
@@ -345,7 +342,7 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
         result = function(*args, **kwargs)
         if signature.result is None:
             return result
-        if is_generator or isinstance(result, Iterator):
+        if signature.is_iterator:
             return check_items(result, signature.result, sizes)
         if not signature.result(result, sizes):
             raise ShapeError(f"{place}: result", result, hints["return"], sizes)
