@@ -36,6 +36,7 @@ Whitted, An improved illumination model for shaded display, Communications of th
 
 from __future__ import annotations
 
+from math import floor
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
@@ -46,11 +47,11 @@ from tracer.antialias.classify import Classification, classify_cells
 from tracer.antialias.edge_functions import Lines
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
-from tracer.antialias.silhouette_pixels import find_silhouette_pixels
+from tracer.antialias.silhouette_pixels import PixelObjects, find_silhouette_pixels
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, find, split_indices
 from tracer.trace.radiance import compute_radiance_and_visibility
-from tracer.trace.samples import Scattered
+from tracer.trace.samples import Rows, Scattered
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum number of samples that are traced together in cells that edges cross.  It limits memory.
@@ -126,30 +127,39 @@ def average_pixels(
     )
     height = samples.y.size
     width = samples.x.size
-    pixel_index = np.arange(samples.size)
-    center_x, center_y = samples.get_positions(pixel_index)
-    pairs = find_silhouette_pixels(scene, rows, columns)
-    pixels = Cells(
-        width=1.0,
-        samples_per_side=grid_side,
-        tolerance=_TOLERANCE / grid_side**1.5,
-        center_x=center_x,
-        center_y=center_y,
-        pair_cell_index=(pairs.row - rows.start + 1) * width + pairs.column - columns.start + 1,
-        pair_object_index=pairs.object_index,
-    )
-    classification = classify_cells(scene, pixels, samples, pixel_index)
+    pixels = _make_pixel_cells(samples, grid_side, find_silhouette_pixels(scene, rows, columns))
+    classification = classify_cells(scene, pixels, samples, np.arange(samples.size))
     estimate = estimate_pixel_means(classification.center_samples, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classification.is_crowded
     pixel_mean = _compute_cell_means(scene, classification, estimate, is_refinable)
     crowded_index = find(is_inner & classification.is_crowded)
     dense_lattice = Lattice.choose(grid_side, min_ratio=1)
-    pixel_mean[:, crowded_index] = _sample_cells(
-        scene, classification, crowded_index, dense_lattice
-    ).mean
+    crowded = _sample_cells(scene, classification, crowded_index, dense_lattice)
+    pixel_mean[:, crowded_index] = crowded.mean
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
+
+
+def _make_pixel_cells(samples: Rows, grid_side: int, pairs: PixelObjects) -> Cells:
+    """Make a cell of each pixel, from the samples at the centers of the pixels.
+
+    The result should be as accurate as a grid of `grid_side` x `grid_side` samples in each pixel.
+    `pairs` contains the objects whose silhouettes may cross each pixel.
+    """
+    center_x, center_y = samples.get_positions(np.arange(samples.size))
+    # The center of a pixel is half a pixel from its upper and left edges.
+    row = pairs.row - floor(samples.y[0])
+    column = pairs.column - floor(samples.x[0])
+    return Cells(
+        width=1.0,
+        samples_per_side=grid_side,
+        tolerance=_TOLERANCE / grid_side**1.5,
+        center_x=center_x,
+        center_y=center_y,
+        pair_cell_index=row * samples.x.size + column,
+        pair_object_index=pairs.object_index,
+    )
 
 
 def _compute_cell_means(
