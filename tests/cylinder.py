@@ -1,7 +1,7 @@
 """A kind of surface that only the tests know: upright cylinders, which have a curved face and caps.
 
-It shows that the contract in `tracer.geometry.shape` is complete: no other module of the tracer
-knows cylinders.  A cylinder in a plain renderer is compared with it.
+`Cylinders` proves that the contract in `tracer.geometry.shape` is complete, because no module of
+the tracer knows cylinders.  `PlainTracer` teaches them to the plain renderer, as a comparison.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Cylinder(Validated):
     def extent(self) -> Floats:
         return np.array([self.radius, self.half_height, self.radius])
 
-    # The bounding box, from which the plain renderer knows the cylinder.
+    # Corners of the bounding box, which is all that the plain renderer keeps of the cylinder.
     @property
     def min_pt(self) -> Floats:
         return np.asarray(self.center - self.extent)
@@ -67,13 +67,15 @@ def add_cylinders(scene: Scene, *cylinders: Cylinder) -> Surfaces:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cylinders(Shape):
+    """The cylinders of a scene.  Vectors have the axes of the scene."""
+
     planar_axes: ClassVar = (1,)
     has_curved_face: ClassVar = True
 
     center: Floats
     radius: Floats
-    from_eye: Floats  # (3, n), in scene axes
-    # Corners of the bounding boxes: their y coordinates are those of the caps.
+    from_eye: Floats  # (3, n) vectors to the centers
+    # Corners of the bounding boxes.  Their y coordinates are those of the caps.
     min_pt: Floats
     max_pt: Floats
 
@@ -111,7 +113,8 @@ class Cylinders(Shape):
             return np.full(index.size, -np.inf), np.full(index.size, np.inf)
         (cx, _, cz), squared_radius = self.from_eye[:, index], self.radius[index] ** 2
         low, high = self._get_caps(index, frame.eye[1])
-        # A ray of the row has the direction a + x b.  Each condition is a quadratic equation for x.
+        # A ray of the row has the direction a + x b.  It touches the side, or meets the rim of a
+        # cap, where x is a root of a quadratic equation.
         ray_y = frame.to_ray_y(top)
         a = frame.rotate_to_scene((np.zeros(top.size), ray_y, np.full(top.size, frame.depth)))
         b = frame.axes[0]
@@ -157,11 +160,8 @@ class Cylinders(Shape):
         index = self.objects.to_local(object_index)
         scale = (np.where(self.is_eye_inside[index], -1, 1) / self.radius[index]).repeat(run_length)
         is_cap = face_code != CURVED_FACE
-        normal = map_xyz(
-            lambda side, cap: np.where(is_cap, cap.repeat(run_length), scale * side),
-            side,
-            planes.normal,
-        )
+        cap = map_xyz(lambda component: component.repeat(run_length), planes.normal)
+        normal = map_xyz(lambda u, v: np.where(is_cap, u, scale * v), cap, side)
         return planes._replace(normal=normal, eye_height=-dot(normal, ray))
 
     def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
@@ -272,7 +272,7 @@ def _cross_faces(
 
 
 class PlainTracer(plain._PlainTracer):
-    """The plain renderer, which knows each cylinder by its bounding box, with their formulas."""
+    """The plain renderer with the formulas of cylinders, which it knows by their bounding boxes."""
 
     def compute_signed_distance(self, surface_index: int, points: Any) -> Any:
         if not isinstance(self.surfaces[surface_index], Cylinder):

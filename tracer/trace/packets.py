@@ -125,6 +125,7 @@ def find_candidates(
     levels = _build_levels(hits, faces_light, margin)
     for shape, triples in _query_grid(lights.grid, levels[0], hits.scene.shapes):
         shaded_pairs = np.zeros((2, 0), dtype=np.intp)
+        # Row 1 contains indices of the largest packets at first, and of hits at last.
         for packets in levels:
             triples, shaded_packets = _test_packets(packets, lights, shape, triples)
             triples = packets.replace_by_children(triples)
@@ -136,10 +137,10 @@ def find_candidates(
 def _query_grid(
     grid: LightGrid, packets: _Packets, shapes: Iterable[Shape]
 ) -> Iterator[tuple[Shape, Shaped[Ints, "3 n"]]]:
-    """Find the objects that may lie between packets and lights, in batches of one shape.
+    """Find the objects that may lie between packets and lights, unless `may_be_lit` is False.
 
-    The rows contain indices of lights, of packets, and of objects.  A light is skipped where
-    `packets.may_be_lit` is False.
+    Yields, in batches, a shape with indices of lights in row 0, of packets in row 1, and of objects
+    of this shape in row 2.
     """
     for first_packet in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
         packet_slice = slice(first_packet, first_packet + _PACKETS_PER_QUERY)
