@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from statistics import geometric_mean
 from time import perf_counter
 from typing import NamedTuple
@@ -49,13 +48,9 @@ _SELECTED_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
 # Titles of the last two columns of a table.
 _SPEEDUP_COLUMNS = ("speedup over exact", "speedup over stock")
 
-# Width and height of small pictures in pixels.
+# Widths and heights of the pictures in pixels.  Frames of an animation have the medium size.
 _SMALL_SIZE = (320, 180)
-
-# Width and height of frames.
 _MEDIUM_SIZE = (1280, 720)
-
-# Width and height of large pictures.
 _LARGE_SIZE = (2560, 1440)
 
 # A typical script that renders scenes with Mitsuba.  Its arguments are the variant, then pairs of a
@@ -126,22 +121,54 @@ class _PairTiming(NamedTuple):
 def _summarize_speedups(
     size: tuple[int, int], speedups: Sequence[Sequence[float]], timing_column_count: int
 ) -> list[object]:
-    """Make a table's row of geometric means over all scenes, without times."""
+    """Make a table's row of the geometric mean of each speedup over all scenes.
+
+    `speedups` has a sequence for each scene.  The columns of times are empty.
+    """
     means = map(geometric_mean, zip(*speedups, strict=True))
     return [f"geometric mean {size[0]}×{size[1]}", *[""] * timing_column_count, *means]
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> _PairTiming:
-    """Time the tracer and Mitsuba alternately, as they render a scene in this process.
+    """Time alternately how the tracer and Mitsuba render a scene in this process.
 
     Mitsuba's scene, which `mitsuba_xml` describes, is loaded before the clock starts.
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     loaded_scene = mi.load_string(mitsuba_xml)
-    tasks: dict[str, Task] = {"tracer": partial(render, scene)}
-    tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
+    tasks: dict[str, Task] = {
+        "tracer": partial(render, scene),
+        "Mitsuba": lambda: np.array(mi.render(loaded_scene)),
+    }
     timings = time_alternately(tasks, MIN_ROUNDS)
     return _PairTiming(tracer=timings["tracer"], mitsuba=timings["Mitsuba"])
+
+
+def _prepare_whole_process_commands(scene: Scene, variant: str) -> dict[str, list[str]]:
+    """Write a scene in the format of each renderer, and return commands that render it.
+
+    The files are in the build folder.  `variant` is Mitsuba's.  If POV-Ray is not installed, its
+    command is missing.
+    """
+    tracer_file = build_path("tracer.xml")
+    save_scene(scene, tracer_file)
+    exact_file = build_path("exact.xml")
+    exact_file.write_text(convert(scene, "exact"))
+    stock_file = build_path("stock.xml")
+    stock_file.write_text(convert(scene, "stock", 1))
+    png_file = build_path("out.png")
+    tracer_command = [sys.executable, "-m", "tracer", "--quiet", "-o", str(png_file)]
+    mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT]
+    commands = {
+        "import numpy": [sys.executable, "-c", "import numpy"],
+        "tracer": [*tracer_command, str(tracer_file)],
+        "Mitsuba exact": [*mitsuba_script, variant, str(exact_file), str(png_file)],
+        "Mitsuba stock": [*mitsuba_script, variant, str(stock_file), str(png_file)],
+        "the same, scalar": [*mitsuba_script, SCALAR, str(stock_file), str(png_file)],
+    }
+    if povray.is_installed():
+        commands["POV-Ray"] = povray.prepare_command(scene, png_file)
+    return commands
 
 
 def benchmark_whole_process(quick: bool) -> str:
@@ -149,26 +176,13 @@ def benchmark_whole_process(quick: bool) -> str:
 
     With `quick`, only one small scene is rendered.
     """
-    variant, png_path = use_variant().variant, str(build_path("out.png"))
-    tracer_command = [sys.executable, "-m", "tracer", "--quiet", "-o", png_path]
-    mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT]
+    variant = use_variant().variant
     rows: list[Sequence[object]] = []
     speedups: dict[tuple[int, int], list[list[float]]] = {}
     cases = [*product((_SMALL_SIZE, _LARGE_SIZE), _SELECTED_SCENES)]
     for size, scene_name in cases[:1] if quick else cases:
         scene = copy_with_picture_size(load_scene(SCENES / f"{scene_name}.xml"), *size)
-        save_scene(scene, scene_file := build_path("tracer.xml"))
-        (exact_file := build_path("exact.xml")).write_text(convert(scene, "exact"))
-        (stock_file := build_path("stock.xml")).write_text(convert(scene, "stock", 1))
-        commands = {
-            "import numpy": [sys.executable, "-c", "import numpy"],
-            "tracer": [*tracer_command, str(scene_file)],
-            "Mitsuba exact": [*mitsuba_script, variant, str(exact_file), png_path],
-            "Mitsuba stock": [*mitsuba_script, variant, str(stock_file), png_path],
-            "the same, scalar": [*mitsuba_script, SCALAR, str(stock_file), png_path],
-        }
-        if povray.is_installed():
-            commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
+        commands = _prepare_whole_process_commands(scene, variant)
         tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_alternately(tasks, MIN_ROUNDS, min_seconds=2.0)
         fastest_stock_timing = min(timings["Mitsuba stock"], timings["the same, scalar"])
@@ -228,12 +242,16 @@ def benchmark_objects(quick: bool) -> str:
     """
     use_variant()  # the fastest that works here
     rows: list[tuple[object, ...]] = []
+    scene_file = build_path("objects.xml")
     for object_count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(build_field_scene(object_count), scene_file := build_path("objects.xml"))
+        save_scene(build_field_scene(object_count), scene_file)
         scene = load_scene(scene_file)
         mitsuba_xml = convert(scene, "exact")
-        tasks: dict[str, Task] = {"parse": partial(ET.parse, scene_file)}
-        tasks |= {"load": partial(load_scene, scene_file), "render": partial(render, scene)}
+        tasks: dict[str, Task] = {
+            "parse": partial(ET.parse, scene_file),
+            "load": partial(load_scene, scene_file),
+            "render": partial(render, scene),
+        }
         # Exempt Mitsuba's many objects from garbage collection, which would distort the timings.
         gc.collect()
         gc.freeze()
@@ -267,31 +285,48 @@ def _time_mitsuba_stages(mitsuba_xml: str) -> list[Timing]:
     return [Timing(seconds, seconds, seconds) for seconds in np.diff(timestamps).tolist()]
 
 
+class _FrameFiles(NamedTuple):
+    """The files and commands of an animation, frame by frame."""
+
+    scene_files: list[str]
+    mitsuba_paths: dict[str, list[str]]  # by flavour: a scene file and a picture for each frame
+    povray_commands: list[list[str]]
+
+
+def _write_frames(frame_count: int, size: tuple[int, int]) -> _FrameFiles:
+    """Write an animation's frames as scene files in the build folder, for each renderer.
+
+    From frame to frame, the eye moves away from the scene.
+    """
+    scene = copy_with_picture_size(load_scene(SCENES / "sticks-perspective.xml"), *size)
+    camera, eye = scene.camera, np.array(scene.camera.view_point)
+    frames = _FrameFiles(
+        scene_files=[], mitsuba_paths={"exact": [], "stock": []}, povray_commands=[]
+    )
+    for frame_index in range(frame_count):
+        frame_eye = eye * (1 + frame_index / frame_count)
+        frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
+        scene_file = build_path(f"frame-{frame_index}.xml")
+        save_scene(frame_scene, scene_file)
+        frames.scene_files.append(str(scene_file))
+        for flavour, paths in frames.mitsuba_paths.items():
+            mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
+            mitsuba_file.write_text(convert(frame_scene, flavour, 1))
+            paths += [str(mitsuba_file), f"{mitsuba_file}.png"]
+        povray_picture = build_path(f"frame-{frame_index}.png")
+        frames.povray_commands.append(povray.prepare_command(frame_scene, povray_picture))
+    return frames
+
+
 def prepare_animation_commands(
     frame_count: int, size: tuple[int, int]
 ) -> dict[str, list[list[str]]]:
     """Write an animation's frames as scene files, and return commands that render them.
 
-    The files are in the build folder, in each renderer's format.  From frame to frame, the eye
-    moves away from the scene.  Each renderer has a single command for all frames, except POV-Ray,
-    which has one for each frame and is missing if it is not installed.
+    The keys of the result are names of the renderers.  Each renderer has a single command for all
+    frames, except POV-Ray, which has one for each frame and is missing if it is not installed.
     """
-    scene = copy_with_picture_size(load_scene(SCENES / "sticks-perspective.xml"), *size)
-    camera, eye = scene.camera, np.array(scene.camera.view_point)
-    scene_files: list[str] = []
-    povray_commands: list[list[str]] = []
-    mitsuba_paths: dict[str, list[str]] = {"exact": [], "stock": []}
-    for frame_index in range(frame_count):
-        frame_eye = eye * (1 + frame_index / frame_count)
-        frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
-        save_scene(frame_scene, scene_file := build_path(f"frame-{frame_index}.xml"))
-        scene_files.append(str(scene_file))
-        for flavour in mitsuba_paths:
-            mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
-            mitsuba_file.write_text(convert(frame_scene, flavour, 1))
-            mitsuba_paths[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
-        povray_picture = build_path(f"frame-{frame_index}.png")
-        povray_commands.append(povray.prepare_command(frame_scene, povray_picture))
+    scene_files, mitsuba_paths, povray_commands = _write_frames(frame_count, size)
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
     half_commands = [shlex.join([*tracer_command, "1", *scene_files[start::2]]) for start in (0, 1)]
     pool_script = [sys.executable, "-c", _POOL_SCRIPT]

@@ -65,7 +65,10 @@ from tracer.command.progress import track
 from tracer.messages import make_printable
 
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
-STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
+AGREES: Verdict = "agrees"
+DIFFERS: Verdict = "DIFFERS"
+UNDECIDED: Verdict = "undecided"
+STATUS: dict[Verdict, int] = {AGREES: 0, DIFFERS: FAILED, UNDECIDED: 3}
 """Exit statuses by verdict."""
 
 
@@ -83,9 +86,12 @@ EXACT = Limits(difference=1e-4, shift=0.003)
 # Mitsuba's built-in camera uses float32, and its shadow rays start above the surface.
 STOCK = Limits(difference=1e-3, shift=0.03)
 
-MAX_EDGE_SHARE = 0.015  # maximum share of the picture's pixels that may differ because of edges
+MAX_EDGE_SHARE = 0.015
+"""Maximum share of the picture's pixels that may differ because of edges."""
 MIN_SSIM = 0.999
-MAX_MEDIAN = 1e-6  # maximum median of the differences
+"""Minimum structural similarity of pictures that agree."""
+MAX_MEDIAN = 1e-6
+"""Maximum median of the pixels' differences in pictures that agree."""
 
 # Number of pixels that are traced in one batch of exact arithmetic, which is slow.  Each batch is
 # spread over the whole picture, so the first batch often suffices.
@@ -128,14 +134,14 @@ class CheckResult:
     def verdict(self) -> Verdict:
         """The verdict on the tracer's picture.
 
-        - "agrees": The picture equals Mitsuba's within tolerance, apart from excluded pixels.
-        - "DIFFERS": Exact arithmetic contradicts the picture, or a metric is out of tolerance.
-        - "undecided": The picture differs from Mitsuba's, but exact arithmetic finds no error in
+        - `AGREES`: The picture equals Mitsuba's within tolerance, apart from excluded pixels.
+        - `DIFFERS`: Exact arithmetic contradicts the picture, or a metric is out of tolerance.
+        - `UNDECIDED`: The picture differs from Mitsuba's, but exact arithmetic finds no error in
           the examined pixels.
         """
         if self.is_disputed.any():
-            return "DIFFERS" if self.is_wrong.any() else "undecided"
-        return "DIFFERS" if describe_exceeded_tolerances(self.metrics) else "agrees"
+            return DIFFERS if self.is_wrong.any() else UNDECIDED
+        return DIFFERS if describe_exceeded_tolerances(self.metrics) else AGREES
 
     @property
     def remarks(self) -> list[str]:
@@ -144,18 +150,26 @@ class CheckResult:
         if self.is_tie.any():
             ties = _format_pixel_count(self.is_tie)
             sentences.append(f"where surfaces coincide, Mitsuba shows the other one in {ties}")
-        if not self.is_disputed.any():
-            clauses = describe_exceeded_tolerances(self.metrics)
-            return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
-        row, column = np.argwhere(self.is_wrong if self.is_wrong.any() else self.is_disputed)[0]
-        pixels, example = _format_pixel_count(self.is_disputed), f"column {column}, row {row}"
-        sentences.append(f"the pictures differ in {pixels}, for example at {example}")
-        examined_count, wrong_count = int(self.is_examined.sum()), int(self.is_wrong.sum())
+        if self.is_disputed.any():
+            return sentences + self._describe_disputed_pixels()
+        clauses = describe_exceeded_tolerances(self.metrics)
+        return sentences + [f"out of tolerance: {clause}" for clause in clauses]
+
+    def _describe_disputed_pixels(self) -> list[str]:
+        """State how many pixels are disputed, and which picture exact arithmetic confirms."""
+        pixels = _format_pixel_count(self.is_disputed)
+        examined_count = int(self.is_examined.sum())
+        wrong_count = int(self.is_wrong.sum())
         if wrong_count:
+            row, column = np.argwhere(self.is_wrong)[0]
             finding = f"contradicts the tracer in {wrong_count} of {examined_count} examined pixels"
-            return [*sentences, f"exact arithmetic {finding}"]
-        finding = f"exact arithmetic confirms the tracer in all {examined_count} examined pixels"
-        return [*sentences, f"Mitsuba or the converter is wrong: {finding}"]
+            conclusion = f"exact arithmetic {finding}"
+        else:
+            row, column = np.argwhere(self.is_disputed)[0]
+            finding = f"confirms the tracer in all {examined_count} examined pixels"
+            conclusion = f"Mitsuba or the converter is wrong: exact arithmetic {finding}"
+        example = f"column {column}, row {row}"
+        return [f"the pictures differ in {pixels}, for example at {example}", conclusion]
 
     def format_report(self) -> str:
         """Format the verdict, metrics, rendering times and remarks as lines of text."""
@@ -171,7 +185,7 @@ class CheckResult:
 
 
 def _format_pixel_count(mask: Shaped[Bools, "height width"]) -> str:
-    """Format the number of True pixels in a mask, such as "1,234 pixels"."""
+    """Format the number of pixels that a mask marks, such as "1,234 pixels"."""
     pixel_count = int(mask.sum())
     return f"{pixel_count:,} pixel{'s' * (pixel_count != 1)}"
 
@@ -192,8 +206,8 @@ def find_pixels_near_edges(
     """Find the pixels of another renderer's picture that a nearby edge can explain.
 
     The tracer renders the scene four times, each time with all samples shifted by `shift` pixels
-    along both axes.  A nearby edge can explain a pixel whose radiance lies in the range of these
-    four pictures, or within the tolerance of it.
+    along both axes.  A nearby edge can explain a pixel if its radiance is in the range of these
+    four pictures, widened by the tolerance on both sides.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
@@ -214,7 +228,7 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
         Mitsuba's variant; None for the fastest that works on this machine.
     flavour
         "exact" to compare all light, using this project's Mitsuba plugins; "stock" to compare only
-        diffuse light, using Mitsuba's built-in plugins.  Raise KeyError for any other.
+        diffuse light, using Mitsuba's built-in plugins.
     """
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
@@ -268,13 +282,17 @@ def _render_diffuse_light(
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
     mitsuba_document = convert_to_stock(replace(diffuse_scene, lights=(white_light,)), 1)
     plugins = {element.get("type"): element for element in mitsuba_document.root.iter()}
-    integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
+    # Let Mitsuba output the position of each hit, too.
+    integrator = plugins["direct"]
     mitsuba_document.root.remove(integrator)
     mitsuba_document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
+    # Place the samples at the centres of the pixels.
+    sampler = plugins["multijitter"]
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
     channels = load_into_mitsuba(str(mitsuba_document), variant)().image
     radiance, hit_position = channels[..., :3], channels[..., -3:]
+    emitter = plugins["point"]
     point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
     vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
     squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
@@ -285,9 +303,9 @@ def _render_diffuse_light(
 
 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
-    """Render a scene with the tracer, and compare the picture with Mitsuba's.
+    """Render a scene with the tracer, and compare the picture with Mitsuba's, `rendering`.
 
-    Differing pixels whose centre is close to an edge are excluded.  Some of the other differing
+    Differing pixels whose centre is close to an edge are excluded.  Some of the remaining differing
     pixels are traced in exact arithmetic, to decide which picture is wrong.  Raise ValueError if a
     radiance in either picture is not finite.
     """
@@ -341,9 +359,9 @@ def _find_differences_at_edges(
     shift: float,
     tolerance: float,
 ) -> Shaped[Bools, "height width"]:
-    """Find the differing pixels that a nearby edge can explain: see `find_pixels_near_edges`.
+    """Find the differing pixels that a nearby edge can explain (see `find_pixels_near_edges`).
 
-    If there are too many for rounding errors, none is returned.
+    If there are more than rounding errors can cause, no pixel is marked.
     """
     differs_at_edge = is_different.copy()
     if is_different.any():
@@ -357,7 +375,7 @@ class _JudgedPixels(NamedTuple):
     """Masks of the pixels that exact arithmetic has judged: see `CheckResult`."""
 
     is_tie: Shaped[Bools, "height width"]
-    is_examined: Shaped[Bools, "height width"]  # of the last batch; False if all are ties
+    is_examined: Shaped[Bools, "height width"]  # pixels of the last batch that are no ties
     is_wrong: Shaped[Bools, "height width"]
 
 
@@ -370,11 +388,9 @@ def _judge_differing_pixels(
 ) -> _JudgedPixels:
     """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
-    A pixel is right if its radiance is exact within the tolerance for the scene, or for a scene so
-    similar that float64 may be unable to tell the two apart.  If surfaces coincide, the tracer must
-    show the one that comes first in the scene file; Mitsuba may also show the last.
-
-    Pixels are examined in batches, until a batch contains one that is not a tie.
+    If surfaces coincide, the tracer must show the one that comes first in the scene file, but
+    Mitsuba may also show the last.  A pixel that is right in both pictures is a tie.  Pixels are
+    examined in batches, until a batch contains one that is not a tie.
     """
     is_tie, is_examined, is_wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
     positions = np.argwhere(is_different)
@@ -382,28 +398,56 @@ def _judge_differing_pixels(
     for batch_index in range(batch_count):
         rows, columns = positions[batch_index::batch_count].T
         radiance = np.stack([tracer_image[rows, columns], mitsuba_image[rows, columns]])
-        tracer_is_right, mitsuba_is_right = np.zeros((2, len(rows)), dtype=np.bool_)
-        for similar_scene, shift in _generate_similar_scenes(scene):
-            x, y = columns + 0.5 + shift, rows + 0.5 + shift
-            trace = partial(plain.trace, similar_scene, x, y, arithmetic="decimal")
-            errors = [np.abs(radiance - trace(ties=tie).radiance) for tie in ("first", "last")]
-            shows_first, shows_last = np.max(errors, axis=3) <= tolerance  # axes: picture, pixel
-            tracer_is_right |= shows_first[0]
-            mitsuba_is_right |= shows_first[1] | shows_last[1]
-            if tracer_is_right.all():
-                break
+        tracer_is_right, mitsuba_is_right = _find_right_pixels(
+            scene, columns + 0.5, rows + 0.5, radiance, tolerance
+        )
         is_batch_tie = tracer_is_right & mitsuba_is_right
         is_tie[rows, columns] = is_batch_tie
         if not is_batch_tie.all():
-            is_examined[rows, columns], is_wrong[rows, columns] = ~is_batch_tie, ~tracer_is_right
+            is_examined[rows, columns] = ~is_batch_tie
+            is_wrong[rows, columns] = ~tracer_is_right
             break
     return _JudgedPixels(is_tie=is_tie, is_examined=is_examined, is_wrong=is_wrong)
+
+
+def _find_right_pixels(
+    scene: Scene,
+    x: Shaped[Floats, "n"],
+    y: Shaped[Floats, "n"],
+    radiance: Shaped[Floats, "2 n 3"],
+    tolerance: float,
+) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
+    """Find out where the tracer's and where Mitsuba's radiance is right, in exact arithmetic.
+
+    The rows of `radiance` are those of the tracer and of Mitsuba, at the positions (x, y) in the
+    picture.  A radiance is right if it is exact within the tolerance for the scene, or for a scene
+    so similar that float64 may be unable to tell the two apart.
+    """
+    tracer_is_right, mitsuba_is_right = np.zeros((2, x.size), dtype=np.bool_)
+    for similar_scene, shift in _generate_similar_scenes(scene):
+        trace = partial(plain.trace, similar_scene, x + shift, y + shift, arithmetic="decimal")
+        tracer_shows_first, mitsuba_shows_first = _is_close(
+            trace(ties="first"), radiance, tolerance
+        )
+        _, mitsuba_shows_last = _is_close(trace(ties="last"), radiance, tolerance)
+        tracer_is_right |= tracer_shows_first
+        mitsuba_is_right |= mitsuba_shows_first | mitsuba_shows_last
+        if tracer_is_right.all():
+            break
+    return tracer_is_right, mitsuba_is_right
+
+
+def _is_close(
+    rays: plain.TracedRays, radiance: Shaped[Floats, "2 n 3"], tolerance: float
+) -> Shaped[Bools, "2 n"]:
+    """Test whether each radiance is that of the rays within the tolerance, in all channels."""
+    return np.asarray(np.abs(radiance - rays.radiance).max(axis=2) <= tolerance)
 
 
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
     """Yield a scene, and variations so similar that float64 may be unable to tell them apart.
 
-    Yield also the distance in pixels by which to shift the samples to the right and down.
+    Yield with each scene the distance in pixels by which to shift its samples right and down.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
@@ -461,15 +505,15 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
     )
-    severity_order = 0, STATUS["undecided"], FAILED
+    severity_order = STATUS[AGREES], STATUS[UNDECIDED], FAILED
     return max(statuses, key=severity_order.index, default=0)
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
     """Check one scene, print the result, and write a comparison picture.
 
-    Of the options, `variant` and `flavour` are used.  Raise Failure if the scene cannot be read,
-    converted or compared, or the picture cannot be written.
+    `options` has the command's `variant` and `flavour`.  Raise Failure if the scene cannot be read,
+    converted or compared, or if the picture cannot be written.
     """
     result = check_file(path, options.variant, options.flavour)
     picture_pair = to_codes(result.tracer_image), to_codes(result.mitsuba.image)

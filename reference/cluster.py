@@ -21,6 +21,7 @@ from reference.benchmark import format_section, prepare_animation_commands, run_
 from reference.command import REFERENCE_FOLDER, build_path, make_parser
 from reference.measured.measurements import describe_origin
 
+# Number of frames to render.
 _FRAME_COUNT = 1_000_000
 
 # Price of a core for an hour in dollars: an assumption.
@@ -37,7 +38,7 @@ _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 
 def _measure_cpu_seconds(commands: list[list[str]]) -> float:
-    """Run commands one after another, and measure the CPU time of their processes."""
+    """Run commands one after another, and measure the CPU time of their processes in seconds."""
     times_before = os.times()
     run_commands(commands)
     times_after = os.times()
@@ -46,9 +47,9 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
 
 
 def _measure_seconds_per_task(task_count: int) -> float:
-    """Measure the elapsed time in which Dask schedules a task that does almost nothing.
+    """Measure the elapsed time that Dask's scheduler takes for a task that does almost nothing.
 
-    As a warm-up, the same number of tasks runs untimed beforehand.
+    It is the mean over `task_count` tasks.  As a warm-up, as many tasks run untimed before them.
     """
     cluster_options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **cluster_options) as cluster, Client(cluster) as client:
@@ -59,6 +60,7 @@ def _measure_seconds_per_task(task_count: int) -> float:
 
 
 def _format_cost_row(name: str, seconds_per_frame: float) -> tuple[str, ...]:
+    """Format a renderer's row of the table of costs, from its CPU time for a frame."""
     core_hours = seconds_per_frame * _FRAME_COUNT / 3600
     cost = core_hours * _DOLLARS_PER_CORE_HOUR
     return name, f"{1e3 * seconds_per_frame:.0f}", f"{core_hours:,.0f}", f"${cost:,.2f}"

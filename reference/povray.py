@@ -1,4 +1,4 @@
-"""Convert scenes for POV-Ray, render them with it, and read its pictures.
+"""Convert scenes for POV-Ray, run it, and read its pictures.
 
 POV-Ray serves as an independent reference, and for comparisons of times.  By default, its lights do
 not fall off with distance, and its `specular` is the Blinn-Phong lobe of the scene format.  So its
@@ -94,9 +94,9 @@ def prepare_command(
 ) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command that renders it.
 
-    The command writes the picture, by default as a PNG file.  The scene file is written next to it,
-    with the same name and the suffix .pov.  The intensities of all lights are multiplied by the
-    exposure.
+    The command writes the picture, by default as a PNG file.  The scene file has the path of the
+    picture, with the suffix .pov.  `options` are further arguments of the command.  The intensities
+    of all lights are multiplied by the exposure.
     """
     scene_path = picture_path.with_suffix(".pov")
     scene_path.write_text(convert_scene(scene, exposure), encoding="utf-8")
@@ -105,7 +105,7 @@ def prepare_command(
 
 
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
-    """Return a command, as `prepare_command` does, for a picture that `read_linear_picture` reads.
+    """Do the same as `prepare_command` for a picture that `read_linear_picture` can read.
 
     The picture is a PPM file of linear radiance, clipped at `MAX_RADIANCE`, with 16 bits per
     channel.

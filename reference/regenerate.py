@@ -3,8 +3,9 @@
 Each `mitsuba/NAME.exr` is Mitsuba's picture of a scene in the exact flavour of the converter:
 linear RGB, `WIDTH` pixels wide, one sample per pixel.  `mitsuba/manifest.json` says how the
 pictures were rendered.
-`sheet.png` shows every scene, and `sunflower.png` one scene in a larger picture, both rendered by
-the tracer.  Files that differ only by rounding, as on another processor, stay as they are.
+`sheet.png` shows every scene, and `sunflower.png` one scene in a larger picture.  The tracer
+renders both.  A stored picture is not replaced by one that differs only by rounding, as pictures do
+that are rendered on another processor.
 """
 
 from __future__ import annotations
@@ -52,8 +53,9 @@ _PICTURE_HEIGHT = 175
 # Distance between pictures in the sheet in pixels.
 _GAP = 12
 
-# Height of the name below each picture in pixels.
+# Height of the name below each picture in pixels, and its distance from the picture.
 _NAME_HEIGHT = 22
+_NAME_GAP = 3
 
 # Size of the names' font in pixels.
 _NAME_SIZE = 13
@@ -91,14 +93,15 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
     pictures = {path.stem: _render_image(load_scene(path), _PICTURE_HEIGHT) for path in paths}
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
     sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
-    drawing, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
+    drawing = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
     for name, picture in sorted(pictures.items(), key=lambda item: item[1].width):
         if x + picture.width > _SHEET_WIDTH:
             x = 0
             y += row_height
         sheet.paste(picture, (x, y))
-        drawing.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
+        drawing.text((x, y + _PICTURE_HEIGHT + _NAME_GAP), name, fill=(60, 60, 60), font=font)
         x += picture.width + _GAP
     return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 
@@ -121,10 +124,10 @@ def _store_image(path: Path, image: Image.Image) -> None:
 
 
 def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
-    """Test whether Mitsuba's stored picture of a scene differs only by rounding from an image.
+    """Test whether Mitsuba's stored picture of a scene exists and differs only by rounding.
 
-    Some pixels may differ more, because rounding may decide which surface a pixel at an edge or a
-    tie shows.
+    `name` is that of the scene file without the suffix.  A few pixels may differ more, because
+    rounding may decide which surface they show.
     """
     if not (MITSUBA_FOLDER / f"{name}.exr").exists():
         return False
@@ -138,8 +141,7 @@ def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
 def main() -> None:
     """Render all stored pictures again, and record in `manifest.json` how they were rendered.
 
-    Files that differ only by rounding, as on another processor, stay as they are.  Mitsuba's
-    pictures are replaced together, so that the manifest describes all of them.
+    Mitsuba's pictures are replaced together, so that the manifest describes all of them.
     """
     make_parser("reference.regenerate").parse_args()
     _store_image(REFERENCE_FOLDER / "sheet.png", render_sheet(list_scene_files()))

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from converters.to_mitsuba import set_up_mitsuba
-from reference.check import EXACT, CheckResult, check_file, choose_exit_status
+from reference.check import AGREES, EXACT, CheckResult, check_file, choose_exit_status
 from reference.command import (
     BUILD,
     REFERENCE_FOLDER,
@@ -72,12 +72,18 @@ def render_report(
 ) -> str:
     """Render an HTML page that compares the tracer's pictures with Mitsuba's, scene by scene.
 
-    Each result comes with a description of its scene, and each chart, at the end, with its title
-    and its SVG file.  `failures` are messages about scenes that could not be compared.
+    Parameters
+    ----------
+    described_results
+        The comparisons, each with a description of its scene.
+    charts
+        Charts to show at the end: their titles, and the contents of their SVG files.
+    failures
+        Messages about scenes that could not be compared.
     """
     results = [result for result, _ in described_results]
     scene_count = len(results)
-    agreeing_count = sum(result.verdict == "agrees" for result in results)
+    agreeing_count = sum(result.verdict == AGREES for result in results)
     all_agree = 0 < agreeing_count == scene_count and not failures
     variants = ", ".join(sorted({result.mitsuba.variant for result in results}))
     return render_page(
@@ -100,7 +106,7 @@ def render_report(
 
 def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell]]:
     """Format the comparison of one scene as a row of the overview, which links to its pair."""
-    verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
+    verdict = Cell(result.verdict, is_good=result.verdict == AGREES)
     excluded_share = f"{result.is_excluded.mean():.2%}"
     metric_texts = f"{result.metrics.ssim:.6f}", f"{result.metrics.max:.1e}", excluded_share
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
@@ -110,7 +116,8 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
 
 def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
     """Prepare one comparison, with a description of its scene, for the HTML page."""
-    is_excluded, metrics, is_good = result.is_excluded, result.metrics, result.verdict == "agrees"
+    is_excluded, metrics = result.is_excluded, result.metrics
+    is_good = result.verdict == AGREES
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
     difference = get_largest_difference(result.tracer_image - mitsuba_image)
     difference_codes, gain = amplify_difference(difference)
@@ -186,7 +193,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     set_up_mitsuba(arguments.variant, exit_status=MISUSED)
     names_are_unique = len({path.stem for path in paths}) == len(paths)
-    outcomes = []
+    outcomes: list[tuple[CheckResult, str] | Failure] = []
     for path in track(paths, len(paths), "scenes"):
         name = make_printable(path.stem if names_are_unique else str(path))
         outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
@@ -201,9 +208,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Compare a scene file's pictures, and read the comment at the beginning of the file.
+    """Compare the pictures of a scene file, and read the comment at the beginning of the file.
 
-    The result has the given name.  Raise Failure if the scene cannot be read or compared.
+    `name` is that of the scene on the page.  Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):

@@ -1,10 +1,10 @@
 """The stability chart: where usual methods of ray tracing fail, and where this tracer does not.
 
 ``python -m reference.stability`` writes `stability.svg` and `stability.csv` into this folder.  Each
-point is a small picture of a scene that gets harder along the axis.  It is compared with the exact
-picture, rendered in 80-digit decimal arithmetic, by the largest error of the radiance, or by the
-percentage of pixels that are wrongly lit or dark.  `reference.judges.plain` renders both the exact
-pictures and those of the usual methods.
+point of the chart is a small picture of a scene that gets harder along the axis.  The picture is
+compared with the exact one, which is rendered in 80-digit decimal arithmetic.  Its error is the
+largest error of the radiance, or the percentage of pixels that are wrongly lit or dark.
+`reference.judges.plain` renders both the exact pictures and those of the usual methods.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Method: TypeAlias = Callable[[Scene], Floats]
 _VISIBLE_ERROR = 1 / 512
 # The smallest error that the chart distinguishes from none.
 _MIN_ERROR = 1e-17
-# Ratio between the positions of two curves at "none", so that both are visible.
+# Ratio between the heights at which two curves without errors are drawn, so that both are visible.
 _CURVE_SPACING = 1.7
 # Names and dashes of the lines eps * x and eps * x^2, for eps of float32 and of float64.
 _GUIDES = {"dotted": ":", "dash-dotted": "-."}
@@ -47,26 +47,36 @@ def _build_scene(
     view_dir: Shaped[Vector, "3"],
     light: Shaped[Vector, "3"],
     spheres: Sequence[Sphere],
-    window: Vector,
+    window: tuple[float, float, float],
     pixels: int = 24,
 ) -> Scene:
     """Build a scene of spheres under one light.
 
-    `window` contains the window's distance from the eye, its width and its height.  The picture is
-    `pixels` pixels wide, and its pixels are square.
+    `window` has the distance of the camera's window from the eye, its width and its height.  The
+    picture is `pixels` pixels wide, and its pixels are square.
     """
     distance, width, height = window
-    window_sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
-    camera = Camera(view_point=eye, view_dir=view_dir, **window_sizes)
-    size = {"width": pixels, "height": round(pixels * height / width)}
-    return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
+    camera = Camera(
+        view_point=eye,
+        view_dir=view_dir,
+        proj_distance=distance,
+        view_width=width,
+        view_height=height,
+    )
+    return Scene(
+        camera=camera,
+        width=pixels,
+        height=round(pixels * height / width),
+        lights=[PointLight(position=light)],
+        surfaces=spheres,
+    )
 
 
 def build_distant_sphere_scene(distance: float, width: float = 1, height: float = 1) -> Scene:
     """Build a scene in which the camera views a unit sphere from a given distance.
 
-    The camera's window is at this distance, too, and has 24 pixels per unit of length.  The default
-    window shows neither the silhouette nor a shadow.
+    The camera's window passes through the centre of the sphere.  It has the given width and height,
+    and 24 pixels per unit of length.  If both are 1, it shows neither the silhouette nor a shadow.
     """
     direction = np.array([2, -3, 6]) / 7
     return _build_scene(
@@ -82,8 +92,8 @@ def build_distant_sphere_scene(distance: float, width: float = 1, height: float 
 def build_silhouette_scene(distance: float) -> Scene:
     """Build a scene with a close-up of a unit sphere's silhouette.
 
-    The eye is at the given distance from the silhouette.  On each side of the silhouette, the
-    picture shows a strip that is 2**-20 wide.  The camera rays are exact in float64.
+    The eye is at the given distance from the silhouette.  The picture shows a strip on each side of
+    the silhouette, which is 2**-20 wide.  The directions of camera rays are exact in float64.
     """
     return _build_scene(
         eye=(1, 0, distance),
@@ -96,10 +106,10 @@ def build_silhouette_scene(distance: float) -> Scene:
 
 
 def build_moved_sphere_scene(offset_factor: float) -> Scene:
-    """Build a scene of a unit sphere, and move the whole scene away from the origin.
+    """Build a scene of a unit sphere that is far from the origin.
 
-    The scene is moved by (1, -0.7, 0.4) times `offset_factor`.  The eye is about 4 radii away from
-    the sphere's centre.
+    All positions are moved by (1, -0.7, 0.4) times `offset_factor`.  The eye is about 4 radii away
+    from the sphere's centre.
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset_factor * np.array([1, -0.7, 0.4])
@@ -119,7 +129,7 @@ def build_ground_scene(radius: float) -> Scene:
 
 
 def build_highlight_scene(exponent: float) -> Scene:
-    """Build a scene with a highlight that fills the picture, whatever the Phong exponent."""
+    """Build a scene with a highlight that fills the picture for every Phong exponent."""
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     window_side = 3 / max(exponent, 36.0) ** 0.5
     return _build_scene(
@@ -135,8 +145,8 @@ def build_highlight_scene(exponent: float) -> Scene:
 def build_ball_scene(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
     """Build a scene of a ball that touches the ground, which is a large sphere.
 
-    The ball has a radius of 0.5, and the ground has the given radius, before all lengths are
-    multiplied by `scale`.  Then the scene is moved by `offset` along each axis.
+    The ball has a radius of 0.5, and the ground has the given radius.  Then all lengths are
+    multiplied by `scale`, and all positions are moved by `offset` along each axis.
     """
     positions = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
     eye, light, ground, ball = scale * np.array(positions) + offset
@@ -193,8 +203,8 @@ class Panel:
     methods: tuple[str, ...]  # to show in addition to this tracer: keys of `METHODS`
     # Labels of the guide lines to draw: first eps * x, then eps * x^2 (see `_GUIDES`).
     guides: tuple[str, ...] = ()
-    # Each position is multiplied by each of these factors, to build several scenes.  A point of a
-    # curve shows the largest error in these scenes.
+    # A scene is built for each position times each of these factors.  A point of a curve shows the
+    # largest error in the scenes of its position.
     position_factors: tuple[float, ...] = (1.0,)
 
     def measure_error(
@@ -212,8 +222,8 @@ _SHADOW_METHODS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offse
 _HIGHLIGHT_METHODS = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
 _OFFSET_METHODS = ("float64, multiplied out", "float32, closest approach")
 
-# If |o - c|^2 is multiplied out, it has the same rounding error in all pixels, and none if the
-# offset is a round number.  So several offsets are tried for each point.
+# If |o - c|^2, for a ray from o and a sphere around c, is multiplied out, it has the same rounding
+# error in all pixels, and none if the offset is a round number.  So several offsets are tried.
 _NEARBY_FACTORS = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 PANELS = (
@@ -290,13 +300,15 @@ PANELS = (
 
 
 def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Shaped[Floats, "n"]:
-    """Measure the errors of a rendering method at several positions in a panel."""
-    errors = []
+    """Measure the errors of a rendering method, a key of `METHODS`, at positions in a panel."""
+    max_errors = []
     for position in positions:
-        scenes = [panel.build_scene(factor * float(position)) for factor in panel.position_factors]
-        image_pairs = [(METHODS[method](scene), _render_exactly(scene)) for scene in scenes]
-        errors.append(max(panel.measure_error(*image_pair) for image_pair in image_pairs))
-    return np.array(errors)
+        errors = []
+        for factor in panel.position_factors:
+            scene = panel.build_scene(factor * float(position))
+            errors.append(panel.measure_error(METHODS[method](scene), _render_exactly(scene)))
+        max_errors.append(max(errors))
+    return np.array(max_errors)
 
 
 @cache
@@ -337,38 +349,56 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     subfigure_heights = 3.8, 1.9 * len(left_panels)
     figure: Any = plt.figure(figsize=(CHART_WIDTH, sum(subfigure_heights)))
     pictures_subfigure, panels_subfigure = figure.subfigures(2, 1, height_ratios=subfigure_heights)
-    picture_axes = pictures_subfigure.subplots(2, len(EXAMPLES))
-    pictures_subfigure.subplots_adjust(0.02, 0.03, 0.98, 0.68, wspace=0.03, hspace=0.03)
+    _draw_examples(pictures_subfigure)
+    axes_grid = panels_subfigure.subplots(len(left_panels), 2)
+    panels_subfigure.subplots_adjust(0.07, 0.07, 0.98, 0.96, wspace=0.2, hspace=0.8)
+    left_legend_axes, right_legend_axes = axes_grid[len(right_panels) :, 1]
+    _draw_column("left", left_panels, rows, axes_grid[:, 0], left_legend_axes)
+    _draw_column("right", right_panels, rows, axes_grid[:, 1], right_legend_axes)
+    return figure
+
+
+def _draw_examples(subfigure: Any) -> None:
+    """Draw `EXAMPLES`: pictures by methods that fail, and this tracer's pictures below them."""
+    picture_axes = subfigure.subplots(2, len(EXAMPLES))
+    subfigure.subplots_adjust(0.02, 0.03, 0.98, 0.68, wspace=0.03, hspace=0.03)
     for (title, scene, method), axes_pair in zip(EXAMPLES, picture_axes.T, strict=True):
         for axes, render_scene in zip(axes_pair, (METHODS[method], render), strict=True):
             axes.imshow(to_codes(np.nan_to_num(render_scene(scene))))
             axes.axis("off")
         axes_pair[0].set_title(f"{title}\n{method}", fontsize=9)
-    axes_grid = panels_subfigure.subplots(len(left_panels), 2)
-    panels_subfigure.subplots_adjust(0.07, 0.07, 0.98, 0.96, wspace=0.2, hspace=0.8)
-    all_legend_axes = axes_grid[len(right_panels) :, 1]
-    panels_by_column = left_panels, right_panels
-    columns = zip(("left", "right"), panels_by_column, axes_grid.T, all_legend_axes, strict=True)
-    for side, panels, column_axes, legend_axes in columns:
-        methods = dict.fromkeys(method for panel in panels for method in panel.methods)
-        styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
-        handles: dict[str, Any] = {}
-        for axes, panel in zip(column_axes, panels, strict=False):
-            _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
-            handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-        legend_axes.axis("off")
-        legend_title = f"In the {side} column"
-        legend_axes.legend(handles.values(), handles, loc="center", title=legend_title, ncols=2)
-    return figure
+
+
+def _draw_column(
+    side: str,
+    panels: Sequence[Panel],
+    rows: Sequence[Sequence[str]],
+    all_axes: Any,
+    legend_axes: Any,
+) -> None:
+    """Draw the panels of the left or right column from top to bottom, and their legend.
+
+    `rows` are those of the whole table, and `all_axes` are at least as many as there are panels.
+    """
+    methods = dict.fromkeys(method for panel in panels for method in panel.methods)
+    styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
+    handles: dict[str, Any] = {}
+    for axes, panel in zip(all_axes, panels, strict=False):
+        _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
+        panel_handles, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, panel_handles, strict=True))
+    legend_axes.axis("off")
+    legend_title = f"In the {side} column"
+    legend_axes.legend(handles.values(), handles, loc="center", title=legend_title, ncols=2)
 
 
 def _draw_panel(
     axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
 ) -> None:
-    """Draw one panel of the chart from its rows (position, method and error), and guide lines.
+    """Draw the curves and the guide lines of one panel.
 
-    The guide lines are graphs of eps * x and eps * x^2, where x is the position on the horizontal
-    axis, and eps is the rounding error of float32 or float64.  Each method has its line style.
+    `rows` contain a position, a method and an error each.  `styles` are the line styles of the
+    methods.
     """
     curves = {
         method: np.array([row[::2] for row in rows if row[1] == method], float).T

@@ -32,7 +32,11 @@ _SIZES = ((320, 180), (1280, 720), (2560, 1440))
 
 
 def measure_scene(name: str, size: tuple[int, int]) -> str:
-    """Time a scene with one thread and with all, and return a row of the table."""
+    """Time a scene with one thread and with all, and return a row of the Markdown table.
+
+    `name` is that of a scene file without the suffix, and `size` the width and height of the
+    picture.  Raise Failure if the two pictures differ.
+    """
     width, height = size
     path = next(path for path in list_scene_files() if path.stem == name)
     scene = replace(load_scene(path), width=width, height=height)
@@ -54,13 +58,13 @@ def main() -> None:
         raise Failure("reference.threads", "this Python has a lock", remedy)
     warnings.simplefilter("ignore", SceneWarning)  # some windows are stretched
     names = [path.stem for path in list_scene_files()]
-    print(title := _format_title(), flush=True)
-    lines = [title]
+    lines = [_format_title()]
+    print(lines[0], flush=True)
     for size, name in product(_SIZES[:1] if arguments.quick else _SIZES, names):
         lines.append(measure_scene(name, size))
         print(lines[-1], flush=True)
-    folder_path = build_path("threads.md") if arguments.quick else REFERENCE_FOLDER / "threads.md"
-    folder_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    page_path = build_path("threads.md") if arguments.quick else REFERENCE_FOLDER / "threads.md"
+    page_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _format_title() -> str:

@@ -1,7 +1,7 @@
 """Types of arrays, and operations on groups of their elements, for the certificate.
 
-The tracer has a function like `list_segment_elements`, too.  It is repeated here on purpose: a
-reference that shares code with what it validates would repeat its errors.
+The tracer has a function like `list_segment_elements`.  It is repeated here on purpose: a reference
+that shares code with what it validates would repeat its errors.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def sum_by_index(
 def add_at_sorted_index(
     totals: Shaped[Floats, "... m"], index: Shaped[Ints, "n"], values: Shaped[Floats, "... n"]
 ) -> None:
-    """Add values to elements along the last axis of an array, in place.
+    """Add values to elements along the last axis of `totals`, in place.
 
-    The indices are in ascending order, and may be repeated.  All values with the same index are
-    added, whereas ``totals[..., index] += values`` would add only the last one.
+    `index` must be sorted in ascending order, and may contain duplicates.  All values with the same
+    index are added, whereas ``totals[..., index] += values`` would add only the last one.
     """
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
     totals[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
@@ -45,12 +45,13 @@ def add_at_sorted_index(
 def list_segment_elements(
     lengths: Shaped[Ints, "n"], starts: Shaped[Ints, "n"]
 ) -> tuple[Shaped[Ints, "m"], Shaped[Ints, "m"]]:
-    """List the indices of the segment and of the element, for all elements of several segments.
+    """List the elements of several segments of an array, segment by segment.
 
-    Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1 of an array.
+    Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1.  Return the index of
+    the segment, and the index of the element in the array.
     """
     segment_index = np.arange(lengths.size).repeat(lengths)
-    # Number of a segment's first entry in the result, minus the index of its first element.
+    # Position of a segment's first element in the result, minus its index in the array.
     offset = lengths.cumsum() - lengths - starts
     return segment_index, np.arange(segment_index.size) - offset[segment_index]
 
@@ -60,7 +61,7 @@ def find_in_sorted(
 ) -> Shaped[Ints, "n"]:
     """Find the index of each wanted number in a sorted array, or -1 if it is missing there.
 
-    All numbers are at least 0.
+    No number may be negative.
     """
     position = sorted_numbers.searchsorted(wanted_numbers)
     return np.where(np.append(sorted_numbers, -1)[position] == wanted_numbers, position, -1)

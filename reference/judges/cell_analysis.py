@@ -1,11 +1,12 @@
-"""Enclose everything in cells of the picture: distances, edges, shadows and radiance.
+"""Find out what is the same everywhere in a cell of the picture, and where its edges may be.
 
-The problem: for each *pair* (a face that may be visible in a cell: see `cells`), decide what is the
-same everywhere in the cell, and find all edges where the picture may change.  The tool is the *edge
-function*, which is positive on one side of an edge and negative on the other.  Silhouettes,
-intersections of surfaces, terminators and shadow edges are zeros of such functions.  A function
-that has the same sign everywhere in a cell decides a question there.  Otherwise the cell may
-contain an edge.
+A *pair* is a cell and a face that may be visible in it (see `cells`).  For each pair, this module
+decides whether the face covers the cell, is hidden in it, or is lit in all of it.  It does so by
+means of *edge functions*: functions of the camera ray that are positive on one side of an edge and
+negative on the other.  Silhouettes, intersections of surfaces, terminators (the borders between the
+lit and the dark side of a sphere) and shadow edges are zeros of such functions.  A function with
+the same sign everywhere in a cell decides a question there.  Otherwise the cell may contain an
+edge.
 
 The point where a camera ray meets a face is the face's *visible point*.  Its inverse distance is
 linear in the ray's direction, plus a square root if the face is a sphere: the *root term* (see
@@ -13,10 +14,11 @@ linear in the ray's direction, plus a square root if the face is a sphere: the *
 
     smooth_part + root_factor * root_term,
 
-where the first two are polynomials of degree two or less in the ray's direction.  Polynomials with
-error bounds (see `enclosures`) enclose all three parts, and therefore the function.  Near a
-silhouette, the root term is too steep.  There, smooth_part^2 - (root_factor * root_term)^2 is a
-better edge function.  It has the same zeros, and perhaps others, but no root.
+where the first two are polynomials of degree two or less in the ray's direction.  All three parts
+are *enclosed*: each is given as a polynomial with an error bound (see `enclosures`).  So the
+function is enclosed, too.  Near a silhouette, the root term is too steep.  There,
+smooth_part^2 - (root_factor * root_term)^2 is a better edge function.  It has the same zeros, and
+perhaps others, but no root.
 
 Why the result is right: a question counts as decided only if the enclosure of its function has one
 sign, and every other function is listed as an edge.
@@ -53,10 +55,14 @@ from reference.judges.vectors import compute_cross_product, compute_squared_leng
 
 
 class CellAnalysis:
-    """Inverse distances, edge functions and radiance in cells of the picture, with error bounds."""
+    """Cells of the picture, with inverse distances and possible edges of the faces in them.
+
+    The ray with direction d meets the face of a pair at t d, where 1 / t is k.d plus the root term
+    (see `faces`).
+    """
 
     faces: Faces
-    cells: Cells  # without the pairs and occluders that proved irrelevant
+    cells: Cells  # without the pairs and triples that proved irrelevant
     squared_ray_length: Enclosures  # (8, cells), of d^2
     inverse_distance: Enclosures  # (8, pairs), of 1 / t
     # (8, pairs).  The unknown Z is the same in the root term and in 1 / t.
@@ -70,39 +76,43 @@ class CellAnalysis:
     edges: list[EdgeFunctions]
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Find the faces visible in each cell, the lights that reach them, and all possible edges.
+        """Find the faces that may be visible in each cell, the lights that reach them, and edges.
 
         The cells of the caller are not changed.
         """
         self.faces = faces
         self.cells = cells
-        frame = faces.frame
-        pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
-        self._half_cell_size = cells.width / 2 * pixel_size
-        # The components are right, down, and ahead; the coefficients are those of 1, X and Y.
-        self._rays = rays = np.zeros((3, 3, cells.x.size))
-        rays[0, 0] = frame.to_ray_x(cells.x)
-        rays[1, 0] = frame.to_ray_y(cells.y)
-        rays[2, 0] = frame.depth
-        rays[0, 1], rays[1, 2] = self._half_cell_size
-        coefficients = np.zeros((8, cells.x.size))
-        coefficients[:UNKNOWN_Z] = compute_squared_length(rays)
-        coefficients[ERROR] = ROUNDING * coefficients[CONSTANT]
-        self.squared_ray_length = Enclosures(coefficients)
-        self._max_inverse_distance = np.full(cells.face_index.size, np.inf)  # not known yet
         self.edges = []
+        self._set_rays()
         self._find_visible_faces()
         self._find_terminators()
         self._find_shadows()
         if cells.width <= 1:
             self._find_intersections()
 
+    def _set_rays(self) -> None:
+        """Set `_half_cell_size`, `_rays` and `squared_ray_length`."""
+        frame, cells = self.faces.frame, self.cells
+        pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
+        self._half_cell_size = cells.width / 2 * pixel_size
+        # The components are right, down, and ahead; the coefficients are those of 1, X and Y.
+        self._rays = np.zeros((3, 3, cells.x.size))
+        self._rays[0, 0] = frame.to_ray_x(cells.x)
+        self._rays[1, 0] = frame.to_ray_y(cells.y)
+        self._rays[2, 0] = frame.depth
+        self._rays[0, 1], self._rays[1, 2] = self._half_cell_size
+        coefficients = np.zeros((8, cells.x.size))
+        coefficients[:UNKNOWN_Z] = compute_squared_length(self._rays)
+        coefficients[ERROR] = ROUNDING * coefficients[CONSTANT]
+        self.squared_ray_length = Enclosures(coefficients)
+
     def dot_with_rays(
         self, vectors: Shaped[Floats, "3 n"], cell_index: Shaped[Ints, "n"]
     ) -> Enclosures:
-        """Enclose the dot product of each vector with the directions of the camera rays in a cell.
+        """Enclose the dot products (8, n) of vectors with the directions of camera rays.
 
-        The products (8, n) are linear in X and Y.
+        The rays are those of the cell `cell_index[i]` for vector i.  The products are linear in X
+        and Y.
         """
         max_ray_size = self.faces.frame.max_ray_size
         coefficients = np.zeros((8, cell_index.size))
@@ -114,9 +124,10 @@ class CellAnalysis:
     def _express_half_space(
         self, pair_index: Shaped[Ints, "n"], half_space: Shaped[Floats, "5 n"]
     ) -> RayFunctions:
-        """Express half-spaces (see `faces`) as functions of the camera ray.
+        """Make functions that are positive where camera rays meet faces inside half-spaces.
 
-        A function is positive where the ray meets the pair's face inside the half-space.
+        Function i is about the face of pair `pair_index[i]` and the half-space whose five numbers
+        are `half_space[:, i]` (see `faces`).
         """
         # The ray with direction d meets the face at t d, where 1 / t is the sum of the linear term
         # and the root term.  There, n.x + b >= 0 becomes n.d + b / t >= 0, after division by t.
@@ -127,11 +138,7 @@ class CellAnalysis:
         return RayFunctions(pair_index=pair_index, smooth_part=smooth_part, root_factor=b)
 
     def enclose_functions(self, functions: RayFunctions) -> Enclosures:
-        """Bound the values that each function of the camera ray takes in a cell of the picture.
-
-        Function i belongs to the pair `pair_index[i]` of a cell and a face, and is bounded in the
-        cell of this pair.
-        """
+        """Enclose the values (8, n) of functions, each in the cell of its pair."""
         pair_index, smooth_part, root_factor = functions
         coefficients = smooth_part.coefficients.copy()
         function_index = np.flatnonzero(~self.faces.is_planar[self.cells.face_index[pair_index]])
@@ -147,17 +154,19 @@ class CellAnalysis:
     ) -> Shaped[Bools, "claims"]:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        A claim that may be true in only a part of its cell is undecided.  Then each of its
-        functions that may change sign in the cell, and for which the condition has an edge, is
-        added to `edges`.
+        A claim is undecided if it may be true in only a part of its cell.  Its functions that may
+        change sign in the cell are added to `edges`, unless the condition says that their zeros are
+        no edges.
 
         Parameters
         ----------
         light_index
             Index of the light that the claim concerns, or -1 if it concerns no light.
         is_false
-            Whether the claim is certainly false everywhere in its cell.  The array is updated after
-            each condition, so that generators of later conditions can skip such claims.
+            Whether the claim is certainly false everywhere in its cell.  The array is updated in
+            place after each condition, so that generators of conditions can skip such claims.
+        conditions
+            Conditions that must all hold if a claim is true.
         """
         light_index = np.broadcast_to(light_index, is_false.shape)
         is_true = np.ones(is_false.size, np.bool_)
@@ -185,8 +194,8 @@ class CellAnalysis:
         """Replace the enclosures of edge functions on spheres with narrower ones, where possible.
 
         Near a silhouette, the root term is steep, so the enclosure is wide.  The replacement
-        encloses smooth_part^2 - (root_factor * root_term)^2, which has the same zeros, perhaps
-        others, but no square root.  `enclosures` is changed and returned.
+        encloses smooth_part^2 - (root_factor * root_term)^2, which has no square root.  The
+        coefficients of `enclosures` are changed in place.
         """
         # On sides of boxes, there is no unknown Z: its coefficient is 0.
         function_index = np.flatnonzero(enclosures.coefficients[UNKNOWN_Z])
@@ -220,9 +229,9 @@ class CellAnalysis:
         self._select_pairs(may_be_visible)
 
     def _enclose_discriminants(self) -> Enclosures:
-        """Enclose functions (8, pairs) that are positive where a ray's line meets a sphere.
+        """Enclose discriminants (8, pairs), which are positive where a ray's line meets a sphere.
 
-        For a side of a box, the enclosure is 0.
+        The discriminant of a side of a box is 0.
         """
         faces, cells = self.faces, self.cells
         discriminants = Enclosures(np.zeros((8, cells.face_index.size)))
@@ -250,7 +259,7 @@ class CellAnalysis:
         self.inverse_distance.coefficients[ERROR, pair_index] = 0
 
     def _select_pairs(self, is_selected: Shaped[Bools, "pairs"]) -> None:
-        """Remove all other pairs from the cells, the edges and the enclosures."""
+        """Remove the pairs that are not selected from all attributes, and renumber the others."""
         self.cells, new_index = self.cells.select_pairs(is_selected)
         for i, edges in enumerate(self.edges):
             kept_edges = edges.take(np.flatnonzero(is_selected[edges.pair_index]))
@@ -265,8 +274,8 @@ class CellAnalysis:
         """Yield the conditions under which camera rays hit the face of each pair.
 
         A ray hits a side of a box if it meets the side's plane within all four edges.  A ray hits a
-        sphere if the sphere is ahead of the eye, and the ray's line meets the sphere: see
-        `_enclose_discriminants`.  There is no condition for faces that all rays hit.
+        sphere if the sphere is ahead of the eye, and the ray's line meets the sphere.  There is no
+        condition for faces that all rays hit.
         """
         faces, cells = self.faces, self.cells
         is_planar = faces.is_planar[cells.face_index]
@@ -290,22 +299,14 @@ class CellAnalysis:
     def _find_hidden_pairs(self, covers_cell: Shaped[Bools, "pairs"]) -> Shaped[Bools, "pairs"]:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        In each cell, only one occluder is tested: of the faces that cover the cell, the one with
-        the smallest upper bound on its distance.  If two faces are in the same plane, the one whose
-        object comes first in the scene file hides the other.
+        In each cell, only the nearest covering face is tested as an occluder.  If two faces are in
+        the same plane, the one whose object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell_index, face_index = self.cells.cell_index, self.cells.face_index
         file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face_index]]
         plane_id = faces.plane_id[:, face_index]
-        covering_index = np.flatnonzero(covers_cell)
-        min_inverse_distance, _ = inverse_distance[covering_index].find_bounds()
-        sort_keys = -file_index[covering_index], min_inverse_distance, cell_index[covering_index]
-        far_to_near = covering_index[np.lexsort(sort_keys)]
-        occluder_index_by_cell = np.full(self.cells.x.size, -1)
-        # If a cell has several covering pairs, the last one remains.  Index -1 stands for none.
-        occluder_index_by_cell[cell_index[far_to_near]] = far_to_near
-        occluder_index = occluder_index_by_cell[cell_index]
+        occluder_index = self._find_nearest_covers(covers_cell, file_index)[cell_index]
         has_occluder = (occluder_index >= 0) & (occluder_index != np.arange(cell_index.size))
         is_in_same_plane = (plane_id == plane_id[:, occluder_index]).all(axis=0)
         gap = inverse_distance.subtract_independent(inverse_distance[occluder_index])
@@ -313,22 +314,39 @@ class CellAnalysis:
         comes_later = file_index > file_index[occluder_index]
         return np.asarray(has_occluder & np.where(is_in_same_plane, comes_later, max_gap < 0))
 
+    def _find_nearest_covers(
+        self, covers_cell: Shaped[Bools, "pairs"], file_index: Shaped[Ints, "pairs"]
+    ) -> Shaped[Ints, "cells"]:
+        """Find, for each cell, the pair of the nearest face that covers it, or -1 if there is none.
+
+        The nearest face is the one with the smallest upper bound on its distance; of several, the
+        first in the scene file.
+        """
+        cell_index = self.cells.cell_index
+        covering_index = np.flatnonzero(covers_cell)
+        min_inverse_distance, _ = self.inverse_distance[covering_index].find_bounds()
+        sort_keys = -file_index[covering_index], min_inverse_distance, cell_index[covering_index]
+        far_to_near = covering_index[np.lexsort(sort_keys)]
+        nearest_index = np.full(self.cells.x.size, -1)
+        # If a cell has several covering pairs, the last one remains.
+        nearest_index[cell_index[far_to_near]] = far_to_near
+        return nearest_index
+
     def express_light_height(
         self, pair_index: Shaped[Ints, "n"], light_index: Shaped[Ints, "n"] | int
     ) -> RayFunctions:
-        """Express the heights of lights above faces as functions of the camera ray.
+        """Make functions that are positive where a light is in front of a face.
 
-        A function is the height above the tangent plane at the visible point t d, divided by t.  It
-        is positive if the light is in front of the face.  Light index -1 stands for the eye.
+        Each is the height of the light above the face's tangent plane at the visible point t d,
+        divided by t.  Light index -1 stands for the eye.
         """
         half_space = self.faces.height_half_space[:, light_index, self.cells.face_index[pair_index]]
         return self._express_half_space(pair_index, half_space)
 
     def _find_terminators(self) -> None:
-        """Find terminators on spheres, and settle the lights that leave a sphere in a cell dark.
+        """Settle lights that leave all of a sphere in a cell dark, and list terminators as edges.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  If only a part of
-        the sphere may be dark, the terminator becomes a possible edge.
+        A terminator is listed if only a part of the sphere in the cell may be dark.
         """
         # Lights behind a side of a box are settled from the start.
         is_sphere = ~self.faces.is_planar[self.cells.face_index]
@@ -360,12 +378,11 @@ class CellAnalysis:
         return 0.5 * (low + high), half_size
 
     def _find_shadows(self) -> None:
-        """Find shadow edges, and settle the lights that are blocked everywhere in a cell.
+        """Settle lights that are blocked everywhere in a cell, and list shadow edges.
 
         If an object may shade only a part of the face in the cell, the outline of its shadow
-        becomes a possible edge.  Triples that no longer matter are removed.
-
-        Cells of width `MAX_WIDTH` have no triples yet, so their triples are listed first.
+        becomes a possible edge.  Triples (see `cells`) that no longer matter are removed.  Cells of
+        width `MAX_WIDTH` have no triples yet, so their triples are listed first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -389,13 +406,33 @@ class CellAnalysis:
         the cone from the light around the sphere.  Second, it must meet the face behind the plane
         in which the cone touches the sphere.
         """
-        faces, cells = self.faces, self.cells
-        triple_index = np.flatnonzero(cells.shadow_triples[2] < faces.sphere_count)
-        pair_index, light_index, sphere_index = cells.shadow_triples[:, triple_index]
-        radius, center = faces.radius[sphere_index], faces.center[:, sphere_index]
-        position = faces.light_position[light_index].T
+        faces, triples = self.faces, self.cells.shadow_triples
+        triple_index = np.flatnonzero(triples[2] < faces.sphere_count)
+        pair_index, light_index, sphere_index = triples[:, triple_index]
+        is_in_cone = self._express_shadow_cones(pair_index, light_index, sphere_index)
+        yield Condition(claim_index=triple_index, functions=is_in_cone)
+        # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The second
+        # condition for a point p is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
+        # plane is no edge: inside the cone, it lies inside the sphere.
         to_center = faces.to_center[:, light_index, sphere_index]
-        position2, center2, to_center2 = np.square([position, center, to_center]).sum(axis=1)
+        squared_radius = faces.radius[sphere_index] ** 2
+        products = to_center * faces.center[:, sphere_index]
+        b = squared_radius - products.sum(axis=0)
+        b_abs_sum = squared_radius + np.abs(products).sum(axis=0)
+        is_behind = self._express_half_space(pair_index, np.array([*to_center, b, b_abs_sum]))
+        yield Condition(claim_index=triple_index, functions=is_behind, has_edge=False)
+
+    def _express_shadow_cones(
+        self,
+        pair_index: Shaped[Ints, "n"],
+        light_index: Shaped[Ints, "n"],
+        sphere_index: Shaped[Ints, "n"],
+    ) -> RayFunctions:
+        """Make functions that are positive where camera rays meet faces inside shadow cones.
+
+        Each function is about one pair, one light and one sphere.  The cone consists of all lines
+        that contain the light and meet the sphere.
+        """
         # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The ray with
         # direction d meets the face at p = t d, where 1 / t = k.d + s with the root term s.
         # The point p is in the cone if |c x (p - L)| <= r |p - L|.  On the left, p - L can be
@@ -404,33 +441,36 @@ class CellAnalysis:
         # the condition is u + v s >= 0 with
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
-        rays = self._rays[:, :, cells.cell_index[pair_index]]
-        linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
+        faces, cells = self.faces, self.cells
+        radius, center = faces.radius[sphere_index], faces.center[:, sphere_index]
+        position = faces.light_position[light_index].T
+        to_center = faces.to_center[:, light_index, sphere_index]
+        squares = np.square([position, center, to_center]).sum(axis=1)
+        squared_position, squared_center, squared_to_center = squares
+        squared_radius = radius**2
+        position_length, center_length = np.sqrt([squared_position, squared_center])
+        # The sizes bound the terms of q and w.
         linear_size = 2 * np.abs(faces.linear_coef[:, cells.face_index[pair_index]]).sum(axis=0)
-        q, w = (rays - point[:, None] * linear_term for point in (position, center))
-        radius2 = radius**2
-        position_length, center_length = np.sqrt([position2, center2])
         q_size = faces.frame.max_ray_size * (1 + position_length * linear_size)
         w_size = faces.frame.max_ray_size * (1 + center_length * linear_size)
+        rays = self._rays[:, :, cells.cell_index[pair_index]]
+        linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
+        q = rays - position[:, None] * linear_term
+        w = rays - center[:, None] * linear_term
         u, c_cross_w = enclose_cone(to_center, radius, q, w, (q_size, w_size))
         c_cross_center = compute_cross_product(to_center, center[:, None])
         dot_of_crosses = (c_cross_center * c_cross_w).sum(axis=0)
         v = np.zeros((8, pair_index.size))
-        v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
-        v_size = to_center2 * center_length * w_size + radius2 * position_length * q_size
+        v[:X_SQUARED] = 2 * (dot_of_crosses - squared_radius * (position[:, None] * q).sum(axis=0))
+        v_size = squared_to_center * center_length * w_size
+        v_size += squared_radius * position_length * q_size
         v[ERROR] = 16 * ROUNDING * v_size
-        s2 = self.root_term_squared[pair_index]
-        u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
-        u.widen(16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs)
-        is_in_cone = RayFunctions(pair_index=pair_index, smooth_part=u, root_factor=Enclosures(v))
-        yield Condition(claim_index=triple_index, functions=is_in_cone)
-        # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
-        # plane is no edge: inside the cone, it lies inside the sphere.
-        products = to_center * center
-        b = radius2 - products.sum(axis=0)
-        b_abs_sum = radius2 + np.abs(products).sum(axis=0)
-        plane_functions = self._express_half_space(pair_index, np.array([*to_center, b, b_abs_sum]))
-        yield Condition(claim_index=triple_index, functions=plane_functions, has_edge=False)
+        s_squared = self.root_term_squared[pair_index]
+        squared_cross = (c_cross_center * c_cross_center).sum(axis=(0, 1))
+        u += s_squared * (squared_radius * squared_position - squared_cross)
+        u_size = squared_to_center * squared_center + squared_radius * squared_position
+        u.widen(16 * ROUNDING * u_size * s_squared.max_abs)
+        return RayFunctions(pair_index=pair_index, smooth_part=u, root_factor=Enclosures(v))
 
     def _make_box_shadow_conditions(
         self, casts_no_shadow: Shaped[Bools, "triples"]
@@ -438,8 +478,9 @@ class CellAnalysis:
         """Yield the conditions under which camera rays meet a face in the shadow of a box.
 
         There is a claim for each triple (see `cells`).  The ray must meet the face inside each
-        half-space of the shadow volume.  `casts_no_shadow` says for which triples there is
-        certainly no shadow; the caller may update it between conditions.
+        half-space of the shadow volume.  `casts_no_shadow` marks triples that need no more
+        conditions, because there is certainly no shadow.  The caller may update it between
+        conditions.
         """
         pair_index, light_index, occluder_index = self.cells.shadow_triples
         # Objects are numbered with spheres first.  Spheres have a negative box index.
@@ -459,18 +500,14 @@ class CellAnalysis:
             )
 
     def _find_intersections(self) -> None:
-        """Find possible edges where two faces intersect in a cell.
+        """List possible edges where two faces intersect in a cell.
 
         The intersection of two faces lies in a plane.  The possible edge is where camera rays meet
         one of the faces in this plane.
         """
         faces, cells = self.faces, self.cells
-        sorted_index = np.argsort(cells.cell_index, kind="stable")
-        cell_start = cells.cell_index[sorted_index].searchsorted(cells.cell_index[sorted_index])
-        # Combine each pair (a cell and a face in it) with all earlier pairs of the same cell.
-        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
-        pair_indices = sorted_index[np.array(positions)]
-        # If only one of two faces is planar, make it the other face.
+        pair_indices = self._list_combined_pairs()
+        # If only one of two faces is planar, make it the second one.
         is_planar = faces.is_planar[cells.face_index[pair_indices[0]]]
         pair_indices = np.where(is_planar, pair_indices[::-1], pair_indices)
         face_indices = cells.face_index[pair_indices]
@@ -478,13 +515,22 @@ class CellAnalysis:
         objects_differ = object_index[0] != object_index[1]
         may_intersect = objects_differ & (plane_id[:, 0] != plane_id[:, 1]).any(axis=0)
         pair_index, face_indices = pair_indices[0, may_intersect], face_indices[:, may_intersect]
-        # If the other face is a sphere, both are.  The difference of their equations is linear.
+        # If the second face is a sphere, both are.  The difference of their equations is linear.
         equation, plane = faces.face_equation[:, face_indices].swapaxes(0, 1)
         is_sphere = ~faces.is_planar[face_indices[1]]
         plane[:, is_sphere] += equation[:, is_sphere] * [[-1], [-1], [-1], [-1], [1]]
         functions = self._express_half_space(pair_index, plane)
         condition = Condition(claim_index=np.arange(pair_index.size), functions=functions)
         self._decide_claims(-1, np.zeros(pair_index.size, np.bool_), [condition])
+
+    def _list_combined_pairs(self) -> Shaped[Ints, "2 n"]:
+        """List all combinations of two pairs of the same cell, each once."""
+        cell_index = self.cells.cell_index
+        sorted_index = np.argsort(cell_index, kind="stable")
+        cell_start = cell_index[sorted_index].searchsorted(cell_index[sorted_index])
+        # Combine each pair with all earlier pairs of its cell.
+        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
+        return np.asarray(sorted_index[np.array(positions)])
 
     def collect_edge_functions(self) -> EdgeFunctions:
         pair_indices, light_indices, functions = zip(*self.edges, strict=True)

@@ -1,4 +1,4 @@
-"""Cells of the picture, with lists of faces that may be visible and of objects that may shade them.
+"""List the faces that may be visible in cells of the picture, and the objects that may shade them.
 
 The problem: the certificate must know every face that may be visible in a small part of the
 picture, and every object that may shade such a face, without testing all combinations.  As in
@@ -60,7 +60,7 @@ class Cells(NamedTuple):
     ) -> tuple[Cells, Shaped[Ints, "pairs"]]:
         """Copy all cells, but only the selected pairs and their triples.
 
-        Return also the new index of each old pair, or -1 if it is not selected.
+        Return also the index in the copy of each pair, or -1 if the pair is not selected.
         """
         new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
         pair_fields = "cell_index", "face_index", "covers_cell", "is_settled", "radiance"
@@ -84,8 +84,8 @@ class Cells(NamedTuple):
     def split_into_quarters(self, picture_width: int, picture_height: int) -> Cells:
         """Divide each cell into four quarters with the same pairs and triples.
 
-        Quarters outside the picture are dropped.  The quarters of a cell are adjacent: upper left,
-        upper right, lower left, lower right.
+        Each cell becomes four adjacent ones: upper left, upper right, lower left, lower right.
+        Quarters outside the picture are dropped.
         """
         quarter_index = np.arange(4)
         is_right, is_lower = quarter_index & 1, quarter_index >> 1

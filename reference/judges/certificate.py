@@ -5,11 +5,11 @@ smooth function, and radiance is smooth between edges.  Enclose the radiance by 
 it is smooth, enclose each edge in a narrow strip, and assume the worst case inside the strips.
 If the bounds are too wide, divide the picture into smaller cells.
 
-Sources: the subdivision is that of Warnock (1969; see `cells`, which also defines *pairs* of a cell
-and a face, and *settled* lights).  The bounds are affine arithmetic of second order (Comba and
-Stolfi, 1993; see `enclosures`).  This project combines the two.
+Sources: the subdivision is that of Warnock (1969; see `cells`).  The bounds are affine arithmetic
+of second order (Comba and Stolfi, 1993; see `enclosures`).  This project combines the two.
 
-A cell of the picture is treated as follows:
+A *pair* is a face that may be visible in a cell.  A light is *settled* for a pair if it reaches all
+of the face in the cell, or none of it.  A cell of the picture is treated as follows:
 
 1. A light that reaches all of a face in the cell adds radiance that a polynomial encloses.  The
    polynomial's mean over the cell is computed exactly, so the estimate is much better than the
@@ -45,7 +45,7 @@ same sign, the sum over at most 4^10 cells of a pixel errs by 4^10 e R, and the 
 n e R.  Therefore the bounds are widened by 1e-9 R.
 
 Radiance is linear RGB.  Errors are maxima over the three channels.  `Contributions` are what each
-unsettled light adds to the radiance of a pair; it may reach only a part of the face.
+unsettled light, which may reach only a part of the face, adds to the radiance of a pair there.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ from reference.judges.regions import Regions, Strips, divide_into_regions, enclo
 from reference.judges.shading import shade
 from tracer import Scene, to_codes
 
-# Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays fit into
-# the CPU cache.  Tuned on two scenes: half or twice this number takes 3 to 7 % longer.
+# Maximum number of pairs, triples (see `cells`) and unsettled lights of pairs in one batch, whose
+# arrays fit into the CPU cache.  Half or twice this number takes 3 to 7 % longer in two scenes.
 _MAX_ITEMS_PER_BATCH = 12000
 
 # Maximum number of edges that divide a cell into regions.  A cell with more edges is divided into
@@ -122,9 +122,11 @@ class Certificate:
 class CellEstimates(NamedTuple):
     """Estimates of the mean radiance of cells, with the regions on which they are based."""
 
-    strips: Strips  # whose centre lines divide cells
+    strips: Strips  # the strips whose centre lines divide cells
     regions: Regions
-    radiance: Enclosures  # (8, 3, regions), of all points of each region that lie in no strip
+    # (8, 3, regions).  The radiance of all points of each region that lie in no strip, if the
+    # region's sample is right.
+    radiance: Enclosures
     # Sum of the jumps of all strips that contain the region's centroid.
     sample_error: Shaped[Floats, "regions"]
     max_radiance: Shaped[Floats, "3 cells"]  # upper bound on the radiance anywhere in a cell
@@ -151,18 +153,20 @@ def estimate_means(
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
 
-    # A region's radiance and its mean are between 0 and the maximum of the cell.
+    # Means and errors of the regions.  Radiance is between 0 and the maximum of the cell.
     region_mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
     region_error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
 
+    # Means and errors of the cells.
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
     cell_error = sum_by_index(regions.cell_index, regions.area * region_error, cell_count)
     cell_error += sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
-    # The mean of the cell is also between 0 and the maximum.  An error of NaN is replaced, too.
+    # No error is larger than the distance from the mean to 0 or to the maximum.  This bound also
+    # replaces an error of NaN.
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
     return CellEstimates(
         strips=strips,
@@ -176,7 +180,7 @@ def estimate_means(
 
 
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 cells"]:
-    """Compute an upper bound on the radiance in each cell, as if no light were blocked.
+    """Compute an upper bound on the radiance anywhere in each cell, as if no light were blocked.
 
     The bound is the maximum over the faces in the cell, or 0 if there are none.
     """
@@ -196,8 +200,7 @@ def _enclose_edges(
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump in radiance across the edge.
 
-    The jump is at most the contribution of the light that the edge cuts off, or the maximum
-    radiance in the cell where the face changes.  Edges without a jump get no strip.
+    Edges without a jump, and edges in skipped cells, get no strip.
     """
     cells, edges = analysis.cells, analysis.collect_edge_functions()
     cell_index = cells.cell_index[edges.pair_index]
@@ -206,6 +209,7 @@ def _enclose_edges(
     )
     # Index -1 selects the appended 0, for lights without a contribution.
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution_index]
+    # Where the face changes (light index -1), the radiance may change by the maximum in the cell.
     jump = np.where(edges.light_index < 0, max_radiance.max(axis=0)[cell_index], light_jump)
     edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell_index])
     functions = edges.functions[edge_index]
@@ -218,7 +222,7 @@ def _find_contributions(
     light_index: Shaped[Ints, "n"],
     light_count: int,
 ) -> Shaped[Ints, "n"]:
-    """Find the contributions to pairs from lights, or -1 where there is none.
+    """Find the index of the contribution of a light to each pair, or -1 where there is none.
 
     For a light index of -1, the result has no meaning.
     """
@@ -228,7 +232,7 @@ def _find_contributions(
 
 
 def _divide_cells(strips: Strips, is_sampled: Shaped[Bools, "cells"]) -> Regions:
-    """Divide the sampled cells into regions.  All strips lie in sampled cells."""
+    """Divide the sampled cells, which contain all strips, into regions."""
     sampled_cell_index = np.flatnonzero(is_sampled)
     new_index = np.cumsum(is_sampled) - 1
     renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
@@ -239,9 +243,9 @@ def _divide_cells(strips: Strips, is_sampled: Shaped[Bools, "cells"]) -> Regions
 def _bound_sample_errors(
     strips: Strips, regions: Regions, cell_count: int
 ) -> Shaped[Floats, "regions"]:
-    """Compute the sample error of each region.
+    """Compute the sum of the jumps of all strips that contain the centroid of each region.
 
-    The error is infinite if the region is too small for an accurate centroid.
+    The result is infinite if the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.moments
     strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))
@@ -259,10 +263,10 @@ def _bound_sample_errors(
 def _enclose_region_radiance(
     analysis: CellAnalysis, contributions: Contributions, regions: Regions
 ) -> Enclosures:
-    """Enclose the radiance (8, 3, regions) by tracing one sample at the centroid of each region.
+    """Enclose the radiance (8, 3, regions) of what a sample at each region's centroid shows.
 
-    The radiance is what the visible face reflects from all settled lights, and from the unsettled
-    lights that reach the centroid.  The background has radiance 0.
+    It is the radiance that the visible face reflects from all settled lights, and from the
+    unsettled lights that reach the centroid.  The background has radiance 0.
     """
     pair_index, is_lit = _trace_samples(analysis, regions)
     radiance = analysis.cells.radiance[pair_index]
@@ -284,7 +288,10 @@ class _RegionSamples(NamedTuple):
 
 
 def _trace_samples(analysis: CellAnalysis, regions: Regions) -> _RegionSamples:
-    """Trace one sample at the centroid of each region."""
+    """Trace one sample at the centroid of each region.
+
+    Raise RuntimeError if a sample shows a face that is not listed for its cell.
+    """
     cells, faces = analysis.cells, analysis.faces
     cell_index, (_, x, y, *_) = regions.cell_index, regions.moments
     half_width = cells.width / 2
@@ -308,7 +315,7 @@ def _trace_samples(analysis: CellAnalysis, regions: Regions) -> _RegionSamples:
 
 
 class _Picture:
-    """A picture to which cells are added when their mean radiance is known accurately enough."""
+    """A picture to which cells are added once their mean radiance is known accurately enough."""
 
     faces: Faces
     permitted_error: float  # of each pixel's mean radiance
@@ -330,7 +337,8 @@ class _Picture:
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide the cells into two groups if there are too many for one batch.
 
-        All cells of a pixel are in the same group.
+        All cells of a pixel are in the same group.  If all cells are in one pixel, there is one
+        group.
         """
         unsettled_light_count = np.count_nonzero(~cells.is_settled)
         item_count = cells.cell_index.size + cells.shadow_triples.shape[1] + unsettled_light_count
@@ -344,7 +352,7 @@ class _Picture:
     def find_pixel_index(self, cells: Cells) -> Shaped[Ints, "cells"]:
         """Find the pixel that contains each cell, as an index into the flattened `error_bound`.
 
-        For a cell that covers several pixels, it is the upper left one.
+        For a cell that covers several pixels, this is the upper left pixel.
         """
         # Distance from a cell's centre to a point in its upper left pixel, along both axes.
         shift = cells.width / 2 if cells.width > 1 else 0
@@ -352,10 +360,10 @@ class _Picture:
         return np.asarray(row * self.error_bound.shape[1] + column)
 
     def add_cells(self, cells: Cells, cell_index: Shaped[Ints, "n"], radiance: Enclosures) -> None:
-        """Add the mean radiance of cells, and its error, to the pixels that they cover.
+        """Add the mean radiance of some cells, and its error, to the pixels that they cover.
 
-        `radiance` has the shape (8, 3, n).  A cell that is smaller than a pixel is weighted by its
-        area in pixels.
+        `radiance`, of shape (8, 3, n), is that of the cells with the given indices.  A cell that is
+        smaller than a pixel is weighted by its area in pixels.
         """
         pixels_across = max(int(cells.width), 1)
         area = min(cells.width, 1) ** 2  # of the part of a cell in one pixel
@@ -375,11 +383,11 @@ class _Picture:
         np.add.at(self.error_bound, pixels, area * error_bound[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Add the cells that are accurate enough to the picture, and return the others.
+        """Add the cells that are accurate enough to the picture, and return the remaining ones.
 
         No part of the cells may have been added yet.  A cell is accurate enough if it shows a
-        single face, and each light is settled.  Of the other cells of at most one pixel, those that
-        `find_final_cells` selects are also added.
+        single face for which each light is settled.  Of the remaining cells, if they are not larger
+        than a pixel, those that `find_final_cells` selects are also added.
         """
         self.cell_count += cells.x.size
         analysis = CellAnalysis(self.faces, cells)
@@ -405,7 +413,7 @@ class _Picture:
     def find_final_cells(
         self, cells: Cells, cell_error: Shaped[Floats, "cells"], is_pending: Shaped[Bools, "cells"]
     ) -> Shaped[Bools, "cells"]:
-        """Decide which cells, of at most one pixel, to add to the picture undivided.
+        """Decide which cells to add to the picture undivided; no cell may be larger than a pixel.
 
         The remaining error of a pixel is its permitted error minus the error of its finished cells.
         If the pending cells of the pixel together cause at most this error, all of them are added.

@@ -1,4 +1,4 @@
-"""Enclose functions on a cell of the picture by quadratic polynomials with an error bound.
+"""Bound functions on a cell of the picture by quadratic polynomials with an error bound.
 
 The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell of
 the picture.  Interval arithmetic (Moore, 1966) encloses a quantity between two numbers.  But it
@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reference.judges.arrays import Floats, Index
+from reference.judges.arrays import Floats, Index, Ints
 
 CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN_Z, ERROR = range(8)
 """Rows of the array of an enclosure: coefficients of 1, X, Y, X^2, X Y, Y^2 and of the unknown Z,
@@ -52,14 +52,17 @@ _MAX_REMAINDER_RATIO = 1 / 16
 _MIN_CHORD_WIDTH = 1e-6
 
 
-class _Interval(NamedTuple):
-    """Intervals of z, with the powers f(z) = z^exponent of both ends."""
+class _Powers(NamedTuple):
+    """Intervals that contain the quantities z, with the powers f(z) = z^exponent at both ends."""
 
     exponent: Shaped[Floats, "n"]
     low: Shaped[Floats, "n"]
     high: Shaped[Floats, "n"]
     f_low: Shaped[Floats, "n"]
     f_high: Shaped[Floats, "n"]
+
+    def take(self, index: Shaped[Ints, "k"]) -> _Powers:
+        return _Powers._make(field[index] for field in self)
 
 
 class Enclosures:
@@ -82,11 +85,11 @@ class Enclosures:
         return Enclosures(self.coefficients.take(index, axis=-1))
 
     def __setitem__(self, index: Shaped[Index, "k"], enclosures: Enclosures) -> None:
-        """Replace the enclosures at indices along the last axis."""
+        """Replace the enclosures that are selected along the last axis."""
         self.coefficients[..., index] = enclosures.coefficients
 
     def widen(self, error: Shaped[Floats, "..."]) -> None:
-        """Add an error of at least 0 to each error bound."""
+        """Increase each error bound in place; no `error` may be negative."""
         self.coefficients[ERROR] += error
 
     @property
@@ -101,7 +104,7 @@ class Enclosures:
 
     @property
     def relative_width(self) -> Shaped[Floats, "n"]:
-        """Estimated width of the strip of the cell in which each quantity may be zero."""
+        """Estimated width of the part of the cell in which each quantity may be zero."""
         sizes = np.abs(self.coefficients)
         return np.asarray(sizes[X_SQUARED:].sum(axis=0) / np.maximum(sizes[X], sizes[Y]))
 
@@ -115,7 +118,7 @@ class Enclosures:
         return low, high
 
     def __add__(self, other: Enclosures | Shaped[Floats, "..."] | float) -> Enclosures:
-        """Add numbers, or enclosures with the same unknown Z."""
+        """Add numbers or enclosures.  All enclosures must share the unknown Z."""
         if isinstance(other, Enclosures):
             return Enclosures(self.coefficients + other.coefficients)
         coefficients = self.coefficients.copy()
@@ -124,13 +127,14 @@ class Enclosures:
         return Enclosures(coefficients)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
-        """Subtract enclosures with the same unknown Z."""
+        """Subtract enclosures, which must share the unknown Z."""
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
-        """Subtract enclosures with a different unknown Z, whose terms with Z do not cancel.
+        """Subtract enclosures with another unknown Z, so that terms with Z do not cancel.
 
-        The differences have no term with Z; its possible values are part of the error bound.
+        The differences have no term with Z.  What such terms may amount to is added to the error
+        bound.
         """
         coefficients = self.coefficients - other.coefficients
         coefficients[ERROR] = self.max_deviation + other.max_deviation
@@ -138,7 +142,7 @@ class Enclosures:
         return Enclosures(coefficients)
 
     def __mul__(self, other: Enclosures | Shaped[Floats, "..."] | float) -> Enclosures:
-        """Multiply by numbers, or by enclosures with the same unknown Z."""
+        """Multiply by numbers or enclosures.  All enclosures must share the unknown Z."""
         if not isinstance(other, Enclosures):
             coefficients = self.coefficients * other
             coefficients[ERROR] = np.abs(coefficients[ERROR])
@@ -175,16 +179,43 @@ class Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
         All z are known to lie between `min_z` and `max_z`, which are at least 0.  The exponent may
-        have either sign.  The function f is enclosed by its Taylor polynomial of degree 2.  If the
-        remainder is large, a line parallel to the chord of f is also tried; whichever has the
-        smaller error bound is returned.
+        have either sign.  The function f is enclosed by its Taylor polynomial of degree 2 or, if
+        that has a smaller error bound, by a line parallel to its chord.
         """
         low, high = (np.clip(end, min_z, max_z) for end in self.find_bounds())
+        powers = _Powers(
+            exponent=np.broadcast_to(exponent, low.shape),
+            low=low,
+            high=high,
+            f_low=_raise_to_power(low, exponent),
+            f_high=_raise_to_power(high, exponent),
+        )
+        result, remainder = self._enclose_power_by_taylor_polynomial(powers, exponent)
+        # Only where the polynomial is coarse, try the line.
         center = 0.5 * (low + high)
         half_width = 0.5 * (high - low)
-        f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
-        # The Taylor polynomial is expanded around the centre.  The absolute value of the third
-        # derivative of f is 6 * cubic_coef * f / z^3, whose maximum is at one end of the interval.
+        is_coarse = ~(remainder < np.abs(powers.f_high - powers.f_low) * _MAX_REMAINDER_RATIO)
+        is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
+        coarse_index = np.flatnonzero(is_coarse)
+        line = self[coarse_index]._enclose_power_by_line(powers.take(coarse_index))
+        is_line_better = ~(result.coefficients[ERROR, coarse_index] < line.coefficients[ERROR])
+        result[coarse_index[is_line_better]] = line[is_line_better]
+        return result
+
+    def _enclose_power_by_taylor_polynomial(
+        self, powers: _Powers, exponent: Shaped[Floats, "n"] | float
+    ) -> tuple[Enclosures, Shaped[Floats, "n"]]:
+        """Enclose the power of each quantity z by a quadratic function of z.
+
+        Return also the maximum of the remainder, which is the part of the error that rounding does
+        not cause.
+        """
+        _, low, high, f_low, f_high = powers
+        center = 0.5 * (low + high)
+        half_width = 0.5 * (high - low)
+        # The polynomial is expanded around the centre.  The absolute value of the third derivative
+        # of f is 6 * cubic_coef * f / z^3, whose maximum is at one end of the interval.
+        f_center = _raise_to_power(center, exponent)
         linear_coef = exponent * f_center / center
         quadratic_coef = 0.5 * (exponent - 1) * linear_coef / center
         cubic_coef = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
@@ -194,29 +225,16 @@ class Enclosures:
         # The power and all coefficients have relative errors of a few times 2^-53.
         rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(linear_coef) * high)
         polynomial.widen(remainder + rounding_error)
-        is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
-        is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
-        coarse_index = np.flatnonzero(is_coarse)
-        interval = _Interval(
-            exponent=np.broadcast_to(exponent, half_width.shape)[coarse_index],
-            low=low[coarse_index],
-            high=high[coarse_index],
-            f_low=f_low[coarse_index],
-            f_high=f_high[coarse_index],
-        )
-        line = self[coarse_index]._enclose_power_by_line(interval)
-        is_line_better = ~(polynomial.coefficients[ERROR, coarse_index] < line.coefficients[ERROR])
-        polynomial[coarse_index[is_line_better]] = line[is_line_better]
-        return polynomial
+        return polynomial, remainder
 
-    def _enclose_power_by_line(self, interval: _Interval) -> Enclosures:
+    def _enclose_power_by_line(self, powers: _Powers) -> Enclosures:
         """Enclose the power of each quantity z by a linear function of z.
 
         The graph of f(z) = z^exponent lies between its chord and the parallel tangent.  The linear
         function is two thirds of the way from the chord to the tangent, where the mean of a
         parabola would be.
         """
-        exponent, low, high, f_low, f_high = interval
+        exponent, low, high, f_low, f_high = powers
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
         tangent_z = (slope / exponent) ** (1 / (exponent - 1))
         tangent_z = np.where(np.isfinite(tangent_z), tangent_z, 0.5 * (low + high)).clip(low, high)
@@ -230,11 +248,10 @@ class Enclosures:
         return line
 
     def fall_back_to_unit_interval(self) -> Enclosures:
-        """Replace every wide enclosure with the interval [0, 1]; others are unchanged.
+        """Return a copy in which the interval [0, 1] replaces every wide enclosure.
 
         An enclosure is wide if the absolute values of its coefficients add up to 2 or more, or to
-        NaN.  Use this only for quantities that certainly lie in [0, 1], such as the cosines of
-        acute angles.
+        NaN.  All quantities must certainly lie in [0, 1], like the cosines of acute angles.
         """
         is_too_wide = ~(self.max_abs < 2)
         coefficients = np.where(is_too_wide, 0, self.coefficients)
@@ -244,8 +261,8 @@ class Enclosures:
     def split_into_quarters(self) -> Enclosures:
         """Express each enclosure in the coordinates of each quarter of its cell.
 
-        The term with Z is dropped; its possible values become part of the error bound.  The
-        quarters of a cell are adjacent: upper left, upper right, lower left, lower right.
+        Each enclosure becomes four adjacent ones: upper left, upper right, lower left, lower right.
+        What the term with Z may amount to is added to the error bound.
         """
         constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, *_ = self.coefficients.repeat(4, -1)
         quarter_index = np.arange(constant.shape[-1]) % 4
@@ -266,7 +283,7 @@ class Enclosures:
 def _raise_to_power(
     z: Shaped[Floats, "n"], exponent: Shaped[Floats, "n"] | float
 ) -> Shaped[Floats, "n"]:
-    """Compute z^exponent for z of at least 0."""
+    """Compute z^exponent, where no z is negative."""
     # A square root is faster than a power.
     if isinstance(exponent, float) and exponent == -0.5:
         return np.asarray(1 / np.sqrt(z))
@@ -276,7 +293,7 @@ def _raise_to_power(
 def enclose_constants(
     constants: Shaped[Floats, "... n"], max_deviation: Shaped[Floats, "..."] | float = 0.0
 ) -> Enclosures:
-    """Enclose quantities that deviate from a constant by at most `max_deviation`."""
+    """Make enclosures (8, ...) of quantities that differ from constants by a bounded amount."""
     coefficients = np.zeros((8, *constants.shape))
     coefficients[CONSTANT] = constants
     coefficients[ERROR] = max_deviation

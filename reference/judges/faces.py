@@ -1,9 +1,8 @@
 """Describe a scene for the certificate: faces, lights and shadows, in the camera's axes.
 
-The problem: which functions decide what a pixel shows?  A *face* is a sphere, or a
-rectangular side of a box.  Divided by the distance to the face, all that the certificate needs to
-know about a face is linear or quadratic in the direction of a camera ray, except for one square
-root:
+The problem: which functions decide what a pixel shows?  A *face* is a sphere, or a rectangular side
+of a box.  All that the certificate needs to know about a face becomes linear or quadratic in the
+direction of a camera ray, except for one square root, if it is divided by the distance to the face:
 
 - A ray from the eye with direction d meets a face at t d.  Let a sphere have centre c and radius r,
   and let p = |c|^2 - r^2 be the power of the eye.  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)): the
@@ -54,7 +53,11 @@ _MAX_LIGHT_DISTANCE = 1e14
 
 
 class _BoxSides(NamedTuple):
-    """The sides of boxes.  The first axis of every array is x, y, z, the second low and high."""
+    """The sides of boxes.
+
+    The first axis of an array holds the axes x, y and z to which the sides are perpendicular.  The
+    second axis holds the low and the high side.
+    """
 
     offset: Shaped[Floats, "3 2 boxes"]  # of the side's plane from the eye, along the scene's axes
     position: Shaped[Floats, "3 2 boxes"]  # of the side's plane, along the scene's axes
@@ -66,9 +69,9 @@ class _BoxSides(NamedTuple):
 def _append_sides(
     spheres: Shaped[NDArray[Any], "..."], sides: Shaped[NDArray[Any], "..."]
 ) -> Shaped[NDArray[Any], "..."]:
-    """Append the values of all sides, (..., 3, 2, boxes), to those of the spheres, (..., spheres).
+    """Append values of all sides (..., 3, 2, boxes) to those of the spheres (..., spheres).
 
-    The last axis of the result is numbered like faces.
+    The result has the shape (..., faces).
     """
     return np.append(spheres, sides.reshape(*spheres.shape[:-1], -1), axis=-1)
 
@@ -79,10 +82,8 @@ def _compute_height_half_spaces(
     eye_power: Shaped[Floats, "spheres"],
     light_position: Shaped[Floats, "lights 3"],
 ) -> Shaped[Floats, "5 lights+1 spheres"]:
-    """Express the heights of the lights, and of the eye, above spheres as half-spaces.
+    """Compute `Faces.height_half_space` for spheres."""
 
-    See `Faces.height_half_space`.
-    """
     # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point
     # t d, t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
     # outside the sphere, and -1 if it is inside.
@@ -96,15 +97,15 @@ def _compute_height_half_spaces(
 
 
 class VisibleFaces(NamedTuple):
-    """The nearest intersections of the camera rays that meet an object."""
+    """What samples show, without those that show the background."""
 
     hits: Hits
-    sample_index: Shaped[Ints, "hits"]
+    sample_index: Shaped[Ints, "hits"]  # in any order
     face_index: Shaped[Ints, "hits"]
 
 
 class Faces:
-    """The faces, lights and objects of a scene."""
+    """The faces, lights and objects of a scene, as numbers that do not depend on the cell."""
 
     frame: CameraFrame
     prepared_scene: PreparedScene
@@ -192,7 +193,7 @@ class Faces:
         )
 
     def _refuse_impossible_scenes(self, sides: _BoxSides) -> None:
-        """Raise ValueError as `__init__` does."""
+        """Raise ValueError if the eye is on a surface, or if a light is too far away."""
         is_eye_in_box = self.prepared_scene.is_eye_inside[self.sphere_count :]
         is_on_box = is_eye_in_box & np.any(sides.offset == 0, axis=(0, 1))
         if np.any(self.eye_power == 0) or is_on_box.any():
@@ -219,7 +220,7 @@ class Faces:
         self.bounding_box = object_bounds[:, :, self.object_index]
 
     def _set_half_spaces_of_faces(self, sides: _BoxSides) -> None:
-        """Set `face_equation`, the coefficients, `height_half_space` and `rim_half_spaces`."""
+        """Set `linear_coef`, `root_coef`, and all half-spaces except those of shadows."""
         axes, center, power, offset = self.frame.axes, self.center, self.eye_power, sides.offset
         self.linear_coef = _append_sides(center / power, axes[:, :, None, None] / offset)
         self.root_coef = _append_sides(1 / power, 0 * offset)
@@ -298,10 +299,19 @@ class Faces:
         face_index: Shaped[Ints, "parts"],
         is_requested: Shaped[Bools, "lights parts"],
     ) -> Shaped[Ints, "3 triples"]:
-        """List the objects that may shade parts of faces from lights, as in `Cells.shadow_triples`.
+        """List the objects that may shade parts of faces from lights.
 
-        A part is given by its bounding box, which is aligned with the scene's axes.  The rows of
-        the result are indices of parts, lights and objects; the columns are distinct and sorted.
+        The rows of the result are indices of parts, lights and objects.  Its columns are sorted and
+        contain no duplicates.
+
+        Parameters
+        ----------
+        center, half_size
+            Bounding box of each part, aligned with the scene's axes.
+        face_index
+            Face of each part.
+        is_requested
+            Whether to search for objects between a light and a part.
         """
         grid = self.prepared_lights.grid
         triple_keys = [np.zeros(0, np.intp)]
@@ -319,7 +329,7 @@ class Faces:
     def trace_samples(
         self, x: Shaped[Floats, "samples"], y: Shaped[Floats, "samples"]
     ) -> VisibleFaces:
-        """Trace camera rays to find the faces visible at given positions in the picture.
+        """Trace camera rays to find the faces that are visible at positions in the picture.
 
         The positions are in pixels from the upper left corner.
         """
@@ -344,9 +354,10 @@ class Faces:
     def test_lights(
         self, hits: Hits, is_tested: Shaped[Bools, "lights hits"]
     ) -> Shaped[Bools, "lights hits"]:
-        """Find the tested lights that reach each hit.
+        """Find out which of the tested lights reach each hit.
 
-        A light reaches a hit if it is in front of the surface and no object lies between them.
+        A light reaches a hit if it is in front of the surface and no object lies between them.  The
+        result is False for lights that are not tested.
         """
         may_reach = is_tested & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~find_shadows(hits, self.prepared_lights, may_reach)

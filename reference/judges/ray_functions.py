@@ -1,7 +1,8 @@
-"""Functions of the camera ray, whose signs decide questions and whose zeros are possible edges.
+"""Functions of the direction of a camera ray, whose zeros may be edges of the picture.
 
-Every function has the form smooth_part + root_factor * root_term, which `cell_analysis` explains.
-A *pair* is a face that may be visible in a cell (see `cells`).
+Every function is about a *pair*: a face that may be visible in a cell (see `cells`).  It has the
+form smooth_part + root_factor * root_term, where the root term belongs to the pair (see
+`cell_analysis`).  The parts are known only as polynomials with error bounds (see `enclosures`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from reference.judges.vectors import compute_cross_product, compute_squared_leng
 
 
 class RayFunctions(NamedTuple):
-    """Functions of the camera ray, smooth_part + root_factor * root_term, each for one pair."""
+    """Functions of the camera ray, each about one pair."""
 
     pair_index: Shaped[Ints, "n"]
     smooth_part: Enclosures  # (8, n)
@@ -34,7 +35,7 @@ class Condition(NamedTuple):
     its conditions hold.
     """
 
-    claim_index: Shaped[Ints, "n"]
+    claim_index: Shaped[Ints, "n"]  # the claim to which each function belongs
     functions: RayFunctions
     # Whether the picture may have an edge where the function is zero.
     has_edge: Shaped[Bools, "n"] | bool = True
@@ -76,21 +77,20 @@ def enclose_cone(
     Parameters
     ----------
     points
-        The points q, as linear functions (see `vectors`).
+        The points q.  The second axis holds their coefficients of 1, X and Y (see `vectors`).
     shifted_points
         Each q plus a multiple of c, from which c x q can be computed with less rounding error.
     sizes
         Upper bounds on the absolute values of the terms of `points` and of `shifted_points`.
     """
     size, shifted_size = sizes
-    radius2 = radius * radius
-    center2 = (center * center).sum(axis=0)
+    squared_radius = radius * radius
+    squared_center = (center * center).sum(axis=0)
     cross = compute_cross_product(center, shifted_points)
     coefficients = np.zeros((8, radius.size))
-    coefficients[:UNKNOWN_Z] = radius2 * compute_squared_length(points) - compute_squared_length(
-        cross
-    )
-    error_bound = radius2 * size * np.abs(points).sum(axis=(0, 1))
-    error_bound += center2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
+    coefficients[:UNKNOWN_Z] = squared_radius * compute_squared_length(points)
+    coefficients[:UNKNOWN_Z] -= compute_squared_length(cross)
+    error_bound = squared_radius * size * np.abs(points).sum(axis=(0, 1))
+    error_bound += squared_center * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
     coefficients[ERROR] = 8 * ROUNDING * error_bound
     return Cone(function=Enclosures(coefficients), cross=cross)

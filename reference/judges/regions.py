@@ -1,7 +1,7 @@
 """Locate edges in cells: enclose each edge in a strip, and divide the cell along the strips.
 
-An edge of the picture is the zero of an *edge function*, which a quadratic polynomial with an error
-bound encloses (see `enclosures`).  Two ideas make areas computable:
+An edge of the picture is the zero of an *edge function*, which is known only as a quadratic
+polynomial with an error bound (see `enclosures`).  Two ideas make areas computable:
 
 strip
     The part of a cell between two parallel lines, which certainly contains the edge.
@@ -9,7 +9,7 @@ region
     A convex part of a cell.  The centre lines of all strips in a cell divide it into regions.
     Outside the strips, a region contains no point of an edge.
 
-A cell has coordinates X and Y from -1 to 1, so its area is 4; areas here are fractions of it.
+A cell has coordinates X and Y from -1 to 1.  Areas are fractions of its area, which is 4.
 
 The tracer's antialiasing divides cells in a similar way.  This module repeats the method on
 purpose: a reference that shares code with what it validates would repeat its errors.
@@ -72,9 +72,16 @@ def enclose_in_strips(
 ) -> Strips:
     """Enclose the zeros of each edge function (8, n) in a strip between two parallel lines.
 
-    The strip is perpendicular to the function's gradient at a point near the zero.  It is wide
-    enough to allow for the error bound and the curvature of the function.  An edge function without
-    a zero in its cell may get no strip.
+    The lines are perpendicular to the function's gradient at a point near the zero.  The strip is
+    wide enough to allow for the error bound and the curvature of the function.  The result is
+    sorted by cell.  It may lack functions without a zero in their cell.
+
+    Parameters
+    ----------
+    cell_index
+        Index of the cell in which each function may be zero, in any order.
+    jump
+        Upper bound on the change of radiance across each edge, in any channel.
     """
     expansions = _expand_near_zeros(functions)
     constant, half_width = _bound_linear_part(functions, expansions)
@@ -98,9 +105,9 @@ def _make_strips_in_cells(
     half_width: Shaped[Floats, "n"],
     jump: Shaped[Floats, "n"],
 ) -> Strips:
-    """Sort strips by cell, without those that lie outside their cell.
+    """Make strips in the order of their cells, without those that lie outside their cell.
 
-    The rows of `center_line` are the coefficients a, b and c (see `Strips`).
+    The rows of `center_line` are the coefficients a, b and c of a X + b Y + c, with |a| + |b| = 1.
     """
     # In the cell, |a X + b Y| is at most 1.
     is_outside = np.abs(center_line[2]) - half_width >= 1
@@ -128,7 +135,7 @@ class _Expansions(NamedTuple):
 
 
 def _expand_near_zeros(functions: Enclosures) -> _Expansions:
-    """Expand each edge function at a point near its zero.
+    """Compute the value and the gradient of each edge function at a point near its zero.
 
     The closer the point is to the zero, the narrower the strip becomes.
     """
@@ -150,8 +157,8 @@ def _take_newton_step(
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
     """Take one Newton step from the centre of each cell towards a zero, and return its X and Y.
 
-    The function is linear, with coefficients of 1, X and Y.  A step that would leave the cell is
-    shortened.  Where the gradient is 0, the step is 0, too.
+    The rows of `coefficients` are those of 1, X and Y in a linear function.  A step that would
+    leave the cell is shortened.  Where the gradient is 0, the step is 0.
     """
     value, slope_x, slope_y = coefficients
     max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
@@ -169,19 +176,13 @@ def _bound_linear_part(
     constant, and an upper bound on the absolute value of the linear part.  The bound is infinite if
     the curvature is too large.
     """
-    coef_xx, coef_xy, coef_yy = functions.coefficients[X_SQUARED : X_SQUARED + 3]
     x, y, value, gradient_x, gradient_y = expansions
     slope = np.hypot(gradient_x, gradient_y)
     normal_x, normal_y = gradient_x / slope, gradient_y / slope
     # Relative to the point (x, y), let n be the coordinate along the gradient, and t the one along
     # (-normal_y, normal_x).  With the second derivatives f_tt, f_tn and f_nn, the function is
     #     value + slope n + f_tn t n + f_nn n^2 / 2 + f_tt t^2 / 2.
-    f_tt = coef_xx * normal_y * normal_y - coef_xy * normal_x * normal_y
-    f_tt = 2 * (f_tt + coef_yy * normal_x * normal_x)
-    f_tn = 2 * (coef_yy - coef_xx) * normal_x * normal_y
-    f_tn = f_tn + coef_xy * (normal_x * normal_x - normal_y * normal_y)
-    f_nn = coef_xx * normal_x * normal_x + coef_xy * normal_x * normal_y
-    f_nn = 2 * (f_nn + coef_yy * normal_y * normal_y)
+    f_tt, f_tn, f_nn = _rotate_second_derivatives(functions, normal_x, normal_y)
     half_extent = np.abs(normal_x) + np.abs(normal_y)  # of the cell, along t and along n
     max_t = half_extent + np.abs(normal_x * y - normal_y * x)
     max_n = half_extent + np.abs(normal_x * x + normal_y * y)
@@ -198,6 +199,24 @@ def _bound_linear_part(
     return constant, np.where(max_e < 1, deviation + max_change, np.inf)
 
 
+def _rotate_second_derivatives(
+    functions: Enclosures, normal_x: Shaped[Floats, "n"], normal_y: Shaped[Floats, "n"]
+) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+    """Compute the second derivatives f_tt, f_tn and f_nn of the polynomials.
+
+    The coordinate n runs along the unit vector (normal_x, normal_y), and t along
+    (-normal_y, normal_x).
+    """
+    coef_xx, coef_xy, coef_yy = functions.coefficients[X_SQUARED : X_SQUARED + 3]
+    f_tt = coef_xx * normal_y * normal_y - coef_xy * normal_x * normal_y
+    f_tt = 2 * (f_tt + coef_yy * normal_x * normal_x)
+    f_tn = 2 * (coef_yy - coef_xx) * normal_x * normal_y
+    f_tn = f_tn + coef_xy * (normal_x * normal_x - normal_y * normal_y)
+    f_nn = coef_xx * normal_x * normal_x + coef_xy * normal_x * normal_y
+    f_nn = 2 * (f_nn + coef_yy * normal_y * normal_y)
+    return f_tt, f_tn, f_nn
+
+
 class Regions(NamedTuple):
     """Convex regions into which strips divide cells, sorted by cell and side bits.
 
@@ -208,7 +227,7 @@ class Regions(NamedTuple):
     # Bit i is set if the region is on the positive side of the i-th centre line in its cell.
     side_bits: Shaped[Ints, "regions"]
     area: Shaped[Floats, "regions"]
-    moments: Shaped[Floats, "6 regions"]  # means of 1, X, Y, X^2, X Y and Y^2
+    moments: Shaped[Floats, "6 regions"]  # means of 1, X, Y, X^2, X Y and Y^2 over each region
 
     @property
     def is_tiny(self) -> Shaped[Bools, "regions"]:
@@ -228,8 +247,8 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
     """Divide the cells 0 to cell_count - 1 into convex regions along the centre lines of strips.
 
     Each cell starts as two triangles.  Each line in turn cuts every triangle that it crosses into
-    three.  Triangles on the same sides of all lines form a region.  Regions without area may be
-    missing.
+    three.  Triangles on the same sides of all lines form a region.  A cell without strips is one
+    region.  Regions without area may be missing.
     """
     strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))
     bit_count = int(np.diff(strip_start).max(initial=0))
@@ -249,10 +268,11 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
 def _cut_triangles(
     triangles: _Triangles, triangle_index: Shaped[Ints, "n"], strips: Strips, bit: int
 ) -> _Triangles:
-    """Cut some triangles, each along the centre line of one strip.
+    """Cut the triangles with the given indices, each along the centre line of one strip.
 
-    Bit number `bit` of the side bits says on which side of its line each part is.  The arrays of
-    `triangles` are changed.  A triangle on one side of its line remains whole.
+    Bit number `bit` of the side bits is set for parts on the positive side of the line.  A triangle
+    that lies on one side of its line remains whole.  The arrays of `triangles` are changed in
+    place.
     """
     cell_index, side_bits, corners = triangles
     chosen_corners = corners[:, triangle_index]
@@ -303,10 +323,7 @@ def _merge_triangles(triangles: _Triangles, bit_count: int) -> Regions:
 def _compute_moments(
     corners: Shaped[Complexes, "3 n"],
 ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "6 n"]]:
-    """Compute the areas of triangles, and the means of 1, X, Y, X^2, X Y and Y^2 over them.
-
-    Areas are fractions of the cell's area, which is 4.
-    """
+    """Compute the areas of triangles, and the means of 1, X, Y, X^2, X Y and Y^2 over them."""
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
     moments = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
