@@ -11,7 +11,7 @@ Mitsuba cannot represent a number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import atan, degrees, isqrt
 from typing import Annotated as Shaped
@@ -100,8 +100,8 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
     KeyError
         If there is no such flavour.
     """
-    sample_count = DEFAULT_SAMPLES[flavour] if samples is None else samples
-    return str({"stock": convert_to_stock, "exact": convert_to_exact}[flavour](scene, sample_count))
+    make_document = {"stock": convert_to_stock, "exact": convert_to_exact}[flavour]
+    return str(make_document(scene, DEFAULT_SAMPLES[flavour] if samples is None else samples))
 
 
 class Normalization(NamedTuple):
@@ -175,14 +175,28 @@ def _convert_surfaces(
     """Convert all surfaces to shape plugins, in the order of the scene file.
 
     `bsdf_names` contains, for each shader in `surfaces.shaders`, the name of the BSDF plugin to
-    which it is converted.  A flat box gets a small thickness, because Mitsuba cannot invert the
-    transform of a flat cube.
+    which it is converted.
     """
+    # In the arrays of `surfaces`, all spheres come before all boxes.
+    shapes = [*_make_spheres(surfaces, normalization), *_make_cubes(surfaces, normalization)]
+    for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
+        shape.append(Element("ref", id=bsdf_names[shader_index]))
+    return [shapes[index] for index in surfaces.array_index.tolist()]
+
+
+def _make_spheres(surfaces: Surfaces, normalization: Normalization) -> Iterator[Element]:
+    """Yield a shape plugin, still without BSDF, for each sphere."""
     radii = (surfaces.radius * normalization.scale).tolist()
-    shapes = [
-        make_plugin("shape", "sphere", make_vector("point", "center", center), radius=radius)
-        for center, radius in zip(normalization(surfaces.center).tolist(), radii, strict=True)
-    ]
+    for center, radius in zip(normalization(surfaces.center).tolist(), radii, strict=True):
+        center_element = make_vector("point", "center", center)
+        yield make_plugin("shape", "sphere", center_element, radius=radius)
+
+
+def _make_cubes(surfaces: Surfaces, normalization: Normalization) -> Iterator[Element]:
+    """Yield a shape plugin, still without BSDF, for each box.
+
+    A flat box gets a small thickness, because Mitsuba cannot invert the transform of a flat cube.
+    """
     # Mitsuba's cube extends from -1 to 1, so it is scaled by half the size of the box.
     half_sizes = (surfaces.max_pt - surfaces.min_pt) * (normalization.scale / 2)
     largest_coordinate = np.abs(normalization(compute_bounding_box(surfaces))).max()
@@ -192,11 +206,7 @@ def _convert_surfaces(
         to_world = Element("transform", name="to_world")
         to_world.append(make_vector("scale", None, half_size))
         to_world.append(make_vector("translate", None, center))
-        shapes.append(make_plugin("shape", "cube", to_world))
-    for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
-        shape.append(Element("ref", id=bsdf_names[shader_index]))
-    # Here all spheres come before all boxes.  `array_index` is in the order of the scene file.
-    return [shapes[index] for index in surfaces.array_index.tolist()]
+        yield make_plugin("shape", "cube", to_world)
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:

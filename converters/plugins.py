@@ -171,26 +171,33 @@ class EveryLight(mi.SamplingIntegrator):
         if is_hit is False:
             # In a scalar variant, a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
-        bsdf, box = hit.bsdf(ray), scene.bbox()
+        bsdf = hit.bsdf(ray)
+        box = scene.bbox()
         radiance = mi.Spectrum(0)
         for emitter in scene.emitters():
             light_sample, intensity = emitter.sample_direction(hit, mi.Point2f(0), is_hit)
             to_light = light_sample.d
             reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(to_light), is_hit)
             is_frontlit = is_hit & dr.any(reflectance > 0)
-            # Start the shadow ray slightly in front of the light, which may lie on a surface.  If
-            # the light is outside the bounding box of the scene, start just outside the box.
-            inverse_direction = dr.rcp(dr.select(dr.abs(to_light) > 1e-20, to_light, 1e-20))
-            low_t, high_t = ((plane - hit.p) * inverse_direction for plane in (box.min, box.max))
-            exit_distance = dr.min(dr.maximum(low_t, high_t))
-            margin = 1e-3 * dr.max(box.max - box.min)
-            ray_length = dr.minimum(light_sample.dist - self.tolerance, exit_distance + margin)
+            ray_length = self._choose_shadow_ray_length(box, hit, light_sample)
             shadow_ray = mi.Ray3f(hit.p + ray_length * to_light, -to_light)
             first_hit = scene.ray_intersect_preliminary(shadow_ray, active=is_frontlit)
             height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(to_light, hit.n))
             is_lit = is_frontlit & (height_above_plane <= self.tolerance)
             radiance += dr.select(is_lit, reflectance * intensity, 0)
         return radiance, is_hit, []
+
+    def _choose_shadow_ray_length(self, box, hit, light_sample):
+        """Choose the distance from a hit at which the shadow ray from the light starts.
+
+        The ray starts slightly in front of the light, which may lie on a surface.  If the light is
+        outside the bounding box of the scene, the ray starts just outside the box.
+        """
+        direction = dr.select(dr.abs(light_sample.d) > 1e-20, light_sample.d, 1e-20)
+        low_t, high_t = ((plane - hit.p) * dr.rcp(direction) for plane in (box.min, box.max))
+        exit_distance = dr.min(dr.maximum(low_t, high_t))
+        margin = 1e-3 * dr.max(box.max - box.min)
+        return dr.minimum(light_sample.dist - self.tolerance, exit_distance + margin)
 
 
 for register, plugin, name in (

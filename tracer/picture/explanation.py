@@ -23,7 +23,7 @@ from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Ints, Vector, take
 from tracer.picture.lint import name_element
 from tracer.picture.png import to_codes
-from tracer.scene.model import Lambertian, Scene, normalize
+from tracer.scene.model import Lambertian, Phong, Scene, normalize
 from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import compute_light_geometry
@@ -226,6 +226,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     ray = samples.compute_ray_x(frame), frame.to_ray_y(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
+    # A Lambertian surface looks like one with black highlights.
+    phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
     return Explanation(
         x=x,
         y=y,
@@ -235,9 +237,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         distance=shown_hit.distance.item(),
         point=_to_vector(shown_hit.point[0]),
         normal=_to_vector(shown_hit.normal[0]),
-        kd=_to_vector(shader.diffuse),
-        ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
-        exponent=getattr(shader, "exponent", 1.0),
+        kd=_to_vector(phong.diffuse),
+        ks=_to_vector(phong.specular),
+        exponent=phong.exponent,
         lights=tuple(
             _explain_light(scene, hits, shown_hit, light_index)
             for light_index in range(len(scene.lights) if has_hit else 0)

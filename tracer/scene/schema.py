@@ -159,7 +159,7 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
 class _Rule(NamedTuple):
     """A rule that the numbers in each row of a field must obey."""
 
-    find_invalid: Callable[[Floats], Bools]  # takes rows, and tells which numbers violate the rule
+    find_invalid: Callable[[Floats], Bools]  # takes rows, and marks the numbers that violate it
     message: str  # in which {} stands for the invalid number
 
 
@@ -203,8 +203,8 @@ class NumberValidator:
     def copy_rows(self, values: ArrayLike, name: str) -> Shaped[Floats, "n ..."]:
         """Copy the rows of the field into an array: (n, number_count), or (n,) for one number.
 
-        Raise `SceneError` if the values have the wrong type or shape.  The rules are not checked:
-        see `find_invalid_rows`.
+        Raise `SceneError`, with the name of the field, if the values have the wrong type or shape.
+        The rules are not checked: see `find_invalid_rows`.
         """
         array = _copy_floats(values, name)
         if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):
@@ -216,7 +216,8 @@ class NumberValidator:
     ) -> Iterator[tuple[int, str]]:
         """Yield the index of each row that violates a rule, and what is wrong.
 
-        If a row violates several rules, the first of these is reported.
+        If a row violates several rules, the first of these is reported.  NaN is not finite, so it
+        violates the first rule of all fields.
         """
         message_of_row: dict[int, str] = {}
         for rule in self.rules:
