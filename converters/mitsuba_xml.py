@@ -10,6 +10,7 @@ NaN, and for a number that would become infinite in float32.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement
 
@@ -125,8 +126,7 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
     Raise `ConversionError` if Mitsuba cannot represent an element of the matrix.
     """
     element = Element("transform", name=name)
-    numbers = (number for row in matrix_rows for number in row)
-    SubElement(element, "matrix", value=_format_numbers(name, numbers))
+    SubElement(element, "matrix", value=_format_numbers(name, chain.from_iterable(matrix_rows)))
     return element
 
 

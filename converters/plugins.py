@@ -56,7 +56,8 @@ class Window(mi.Sensor):
         around the scene, or at the eye if the eye is inside the box.  The second result, the weight
         of the ray, is 1.
         """
-        x, y = mi.Float64(position.x), mi.Float64(position.y)
+        x = mi.Float64(position.x)
+        y = mi.Float64(position.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
         # Intersect the box by the slab method.  The inverse of 0 must be finite, because infinity
         # times 0 is NaN.
@@ -92,7 +93,8 @@ class UnattenuatedPoint(mi.Emitter):
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
         light_sample.time = hit.time
-        light_sample.delta, light_sample.pdf = True, 1
+        light_sample.delta = True
+        light_sample.pdf = 1
         light_sample.uv = mi.Point2f(0)
         to_light = self.position - hit.p
         # Divide by the largest component, so that the squares cannot overflow for distant lights.
@@ -124,7 +126,8 @@ class BlinnPhong(mi.BSDF):
         self.specular = mi.Color3f(_to_vector(props["specular"]))
         self.exponent = float(props["exponent"])
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-        self.m_components, self.m_flags = [flags], flags
+        self.m_components = [flags]
+        self.m_flags = flags
 
     def eval(self, context, hit, to_light, active=True):
         """Compute the shading, which is the product of the BSDF and the cosine n.l.

@@ -102,14 +102,8 @@ def lint_scene(
     if not exposure.lit_count:
         reason, remedy = _explain_black_picture(scene, prepared_scene)
         yield f"{reason}: the picture is black; {remedy}"
-    elif not range_warning and 2 * exposure.clipped_count > exposure.lit_count:
-        intensities = [max(light.intensity) for light in scene.lights]
-        brightest_light = _format_light_name(scene, intensities.index(max(intensities)))
-        percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
-        yield (
-            f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
-            f"in a PNG file; lower the intensities of the lights, {brightest_light} first"
-        )
+    elif not range_warning:  # colours up to 255 would explain a bright picture
+        yield from _check_clipping(scene, exposure)
 
 
 def _check_color_ranges(scene: Scene) -> str | None:
@@ -142,6 +136,7 @@ def _is_up_to_255(color: VectorLike) -> bool:
 
 
 def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
+    """Return a warning that a colour is up to 255; `owner_name` is the light or surface."""
     old_color = " ".join(map(format_number, color))
     new_color = " ".join(f"{value / 255:.3g}" for value in color)
     problem = f"{tag} {old_color} of {owner_name} looks like 0 to 255"
@@ -228,6 +223,18 @@ def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Itera
         light_name = _format_light_name(scene, light_index)
         surface_name = _format_surface_name(scene, np.flatnonzero(has_no_effect[light_index]))
         yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
+
+
+def _check_clipping(scene: Scene, exposure: Exposure) -> Iterator[str]:
+    """Yield a warning if more than half of the lit pixels are too bright for a PNG file."""
+    if 2 * exposure.clipped_count > exposure.lit_count:
+        intensities = [max(light.intensity) for light in scene.lights]
+        brightest_light = _format_light_name(scene, intensities.index(max(intensities)))
+        percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
+        yield (
+            f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
+            f"in a PNG file; lower the intensities of the lights, {brightest_light} first"
+        )
 
 
 @np.errstate(all="ignore")

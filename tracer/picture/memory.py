@@ -1,8 +1,8 @@
 """Make the C library keep freed memory for later arrays, and give threads little memory.
 
 Without the first, many pictures would spend half of their time on requesting fresh memory from the
-system.  Without the second, a command with worker processes would fail where memory is limited, and
-one process suffices.
+system.  Without the second, a command that starts workers would fail where address space is limited
+(``ulimit -v``), although a single process has enough.
 """
 
 from __future__ import annotations

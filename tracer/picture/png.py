@@ -178,10 +178,10 @@ def _combine_checksums(first_checksum: int, second_checksum: int, second_size: i
     An Adler-32 checksum has two halves of 16 bits, modulo `_ADLER_MODULUS`.  The lower half is 1
     plus the sum of the bytes.  The upper half is the sum of the lower halves after each byte.
     """
-    lower1, upper1 = first_checksum & 0xFFFF, first_checksum >> 16
-    lower2, upper2 = second_checksum & 0xFFFF, second_checksum >> 16
-    lower = (lower1 + lower2 - 1) % _ADLER_MODULUS
-    upper = (upper1 + upper2 + second_size * (lower1 - 1)) % _ADLER_MODULUS
+    first_upper, first_lower = divmod(first_checksum, 1 << 16)
+    second_upper, second_lower = divmod(second_checksum, 1 << 16)
+    lower = (first_lower + second_lower - 1) % _ADLER_MODULUS
+    upper = (first_upper + second_upper + second_size * (first_lower - 1)) % _ADLER_MODULUS
     return upper << 16 | lower
 
 

@@ -44,8 +44,8 @@ class ErrorCollector:
     def report_invalid_type(self, element: Element, types: Iterable[str], *attributes: str) -> None:
         """Report that the attribute "type" of a shader or surface is missing or unknown.
 
-        `types` are the known types.  The element may have this attribute and `attributes`; all
-        others are reported as unknown.
+        `types` are the known types.  Attributes other than "type" and `attributes` are reported as
+        unknown.
         """
         intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")

@@ -507,12 +507,12 @@ class Surfaces(Sequence[Sphere | Box]):
         tables: dict[Kind, dict[str, Any]] = {}
         kinds: tuple[Kind, ...] = Sphere, Box
         for kind in kinds:
-            members = [index for index, surface in enumerate(objects) if isinstance(surface, kind)]
-            file_index += members
-            tables[kind] = {
-                name: [getattr(objects[index], name) for index in members]
-                for name in schema.get_number_validators(kind)
-            }
+            indices = [index for index, surface in enumerate(objects) if isinstance(surface, kind)]
+            file_index += indices
+            members = [objects[index] for index in indices]
+            tables[kind] = {}
+            for name in schema.get_number_validators(kind):
+                tables[kind][name] = [getattr(surface, name) for surface in members]
         return cls.from_tables(
             tables,
             shader_index=[index_of_id[id(objects[index].shader)] for index in file_index],

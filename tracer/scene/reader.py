@@ -399,6 +399,7 @@ class _Reader(ErrorCollector):
         remedies: dict[str, str] = {}
 
         def suggest_remedy(name: str) -> str:
+            """Return a suggested fix for references to an undefined shader."""
             lookalike_line = line_of_normal_form.get(normalize("NFC", name))
             if lookalike_line is not None:
                 return _LOOKALIKE_REMEDY.format(lookalike_line)
