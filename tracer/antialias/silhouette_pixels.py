@@ -58,10 +58,11 @@ class _PixelIntervals(NamedTuple):
 def _find_partly_covered(
     shape: Shape, scene: PreparedScene, rows: slice, columns: slice
 ) -> tuple[_PixelIntervals, _PixelIntervals]:
-    """Find the pixels of each row that an object of one shape covers in part.
+    """Find the pixels of each row that each object of one shape covers in part.
 
-    In each row, the object may cover some pixels entirely.  The first result contains the pixels to
-    the left of these, or all pixels if there are none.  The second contains those to the right.
+    In a row, an object may cover some pixels entirely.  The first result contains the pixels to the
+    left of these, or all that it overlaps if there are none.  The second contains those to the
+    right.
     """
     row_top = np.arange(rows.start, rows.stop, dtype=np.float64)
     column_limits = (columns.start, columns.stop)

@@ -1,8 +1,8 @@
 """The size of packets, which are groups of neighbouring hits on one object.
 
 If the hits of a packet are close together in the scene, then a single test often shows that an
-object shades none of them (see `packets`).  So the hits of a packet are close together in all
-directions: along x and along y in the picture, and in depth.
+object shades none of them (see `packets`).  So packets must be small in all directions: along x and
+along y in the picture, and in depth.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def assign_depth_layers(
         Width of packets in the picture, in pixels.
     """
     relative_thickness = min(_LAYER_ASPECT * packet_width * frame.pixel_width / frame.depth, 1.0)
-    # A layer is as thick as it is deep times `relative_thickness`, so the number of a layer should
-    # grow with the logarithm of the depth.  Instead of the logarithm, which is slower, take the
-    # bits of the float, read as an integer: exponent bits, then mantissa bits.  They grow by
+    # The thickness of a layer is `relative_thickness` times its depth, so the number of a layer
+    # should grow with the logarithm of the depth.  Instead of the logarithm, which is slower, take
+    # the bits of the float, read as an integer: exponent bits, then mantissa bits.  They grow by
     # `_BITS_PER_OCTAVE` whenever the depth doubles, and linearly in between.
     return depth.view(np.int64) // max(1, int(_BITS_PER_OCTAVE * relative_thickness))
