@@ -171,6 +171,19 @@ def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
     return _Table(scenes=scenes, rows=rows)
 
 
+def _summarize(result: Result, unmatched_names: Sequence[str]) -> str:
+    """Say in a few words what is wrong with a picture.
+
+    `unmatched_names` are those of the student's files that belong to no scene; one of them may be
+    the picture if it is missing.
+    """
+    if result.diagnosis and not result.agrees:
+        return result.diagnosis.summary or result.diagnosis.first_cause_text
+    if not result.picture and unmatched_names:
+        return f"not matched: {', '.join(unmatched_names)}"
+    return "cannot be compared" if result.verdict == "unread" else result.verdict
+
+
 def _render_page(
     results: Sequence[Result],
     pairs: dict[str, Pair],

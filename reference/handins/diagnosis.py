@@ -148,38 +148,52 @@ class Reference:
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
-        """Find the mistakes that explain a submitted picture, or describe where it is wrong.
+        """Find the mistakes that explain a submitted picture, or describe where it is wrong."""
+        has_same_size = picture.codes.shape == self.codes.shape
+        return self._diagnose_pixels(picture) if has_same_size else self._diagnose_size(picture)
 
-        A wrong size is reported as a mistake.  A picture turned by 90 degrees is turned back and
-        then diagnosed.
+    def _diagnose_size(self, picture: Picture) -> Diagnosis:
+        """Diagnose a submitted picture of another size than the reference picture.
+
+        The size is reported as a mistake, together with those that are found in the scene, rendered
+        at this size.
         """
-        (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
-        if (height, width) == reference_size:
-            return self._diagnose_pixels(picture)
-        expected_size = f"{reference_size[1]}x{reference_size[0]}"
-        size_sentence = f"The picture has {width}x{height} pixels in place of {expected_size}."
+        height, width = picture.codes.shape[:2]
+        reference_height, reference_width = self.codes.shape[:2]
+        expected_size = f"{reference_width}x{reference_height}"
+        sentence = f"The picture has {width}x{height} pixels in place of {expected_size}."
         if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
         if symptom := symptoms.find_reference_within(picture.codes, self.codes):
-            return make_verdict(*symptom).prepend_text(size_sentence)
-        if (width, height) == reference_size:
-            upright_codes = {
-                keyword: turn_back(picture.codes)
-                for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()
-            }
-            differences = {
-                keyword: compare_levels(codes, self.codes, axis=2).sum()
-                for keyword, codes in upright_codes.items()
-            }
-            keyword = min(differences, key=differences.__getitem__)
-            codes = np.ascontiguousarray(upright_codes[keyword])
-            diagnosis = self._diagnose_pixels(picture._replace(codes=codes))
-            if diagnosis.kind != UNKNOWN:
-                sentence = self._get_renderer(*reference_size).mistakes[keyword].sentence
-                return diagnosis.add_mistake(keyword, sentence).prepend_text(size_sentence)
+            return make_verdict(*symptom).prepend_text(sentence)
+        if (width, height) == (reference_height, reference_width) and (
+            diagnosis := self._diagnose_turned(picture)
+        ):
+            return diagnosis.prepend_text(sentence)
         if not self.scene:
-            return make_verdict(WRONG_SIZE, size_sentence)
-        return self._diagnose_pixels(picture).add_mistake(WRONG_SIZE, size_sentence)
+            return make_verdict("size", sentence)
+        return self._diagnose_pixels(picture).add_mistake("size", sentence)
+
+    def _diagnose_turned(self, picture: Picture) -> Diagnosis | None:
+        """Diagnose a submitted picture that is turned by 90 degrees or transposed.
+
+        It is turned back in the way that makes it most similar to the reference picture.  None if
+        no known mistake explains the result.
+        """
+        upright_codes = {
+            keyword: turn_back(picture.codes) for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()
+        }
+        differences = {
+            keyword: compare_levels(codes, self.codes, axis=2).sum()
+            for keyword, codes in upright_codes.items()
+        }
+        keyword = min(differences, key=differences.__getitem__)
+        codes = np.ascontiguousarray(upright_codes[keyword])
+        diagnosis = self._diagnose_pixels(picture._replace(codes=codes))
+        if diagnosis.kind == UNKNOWN:
+            return None
+        mistakes = self._get_renderer(*self.codes.shape[:2]).mistakes
+        return diagnosis.add_mistake(keyword, mistakes[keyword].sentence)
 
     def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
         """Diagnose a submitted picture by comparing it with a reference picture of the same size.

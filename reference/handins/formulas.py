@@ -31,12 +31,15 @@ Formulas: TypeAlias = dict[str, Callable[..., Any]]
 _MIN_T = 1e-9
 # Minimum light of the highlights from which an exponent is estimated.
 _MIN_WEIGHT = 0.05
-# Maximum number of pixels from which it is estimated.
+# Maximum number of pixels from which an exponent is estimated.
 _MAX_FITTED_PIXELS = 1000
 # A whole number may fit this much worse than the best one: codes are rounded.
 _WHOLE_MARGIN = 1.02
-# The exponents among which it is searched, and the number that is tried at first.
-_MIN_EXPONENT, _MAX_EXPONENT, _FIRST_TRIALS = 0.1, 5000, 40
+# The exponent is searched between these limits, …
+_MIN_EXPONENT = 0.1
+_MAX_EXPONENT = 5000
+# … and this many exponents are tried at first.
+_FIRST_TRIALS = 40
 
 
 def normalize(vectors: Shaped[Array, "..."], axis: int = 0) -> Shaped[Array, "..."]:

@@ -38,10 +38,11 @@ _MAX_PAIRED_SURFACES = 40
 MAX_PIXELS = 131_072
 # The same for pixels times surfaces.
 MAX_INTERSECTIONS = 2_000_000
-# The sample of the picture has a pixel for this many of these intersections, and no fewer pixels
-# than the second number.
-_INTERSECTIONS_PER_SAMPLE, _MIN_SAMPLE_SIZE = 20, 500
-# The sample is chosen from this share of `MAX_PIXELS`.
+# The sample that represents a picture has a pixel for this many of these intersections, …
+_INTERSECTIONS_PER_SAMPLE = 20
+# … but at least this many pixels, …
+_MIN_SAMPLE_SIZE = 500
+# … which are chosen from this share of `MAX_PIXELS`.
 _SAMPLE_SHARE = 1 / 32
 # The sample represents light and shadow of at most this many lights.
 _MAX_SAMPLED_LIGHTS = 4

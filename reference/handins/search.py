@@ -281,31 +281,37 @@ class Submission:
         Pairs of mistakes are tried only if no single mistake explains the picture almost exactly,
         and if `may_be_pair`.
         """
-        single_causes = self._add_rounding(self._rank_causes(self.renderer.single_causes))
-        pairs, causes = list[Cause](), self._select_good_causes(single_causes)
+        singles = self._add_rounding(self._rank_causes(self.renderer.single_causes))
+        causes, pairs = self._select_good_causes(singles), list[Cause]()
         single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if single_count > _MAX_UNEXPLAINED and may_be_pair:
             pairs = self._add_rounding(self._select_best_pairs())
             good_pairs = self._select_good_causes(list(filter(self._needs_both_mistakes, pairs)))
             if good_pairs and _LARGE_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
                 causes = good_pairs
-        # A pair is preferred only if it leaves less than half as many pixels unexplained.
-        best_cause = min(
-            causes[:1] or single_causes + pairs,
+        if causes:
+            unexplained_count = self._count_unexplained_in_full(causes[0])
+            if unexplained_count <= self._max_unexplained:
+                distinct_causes = tuple(dict.fromkeys(map(remove_variants, causes)))
+                return Finding(causes=distinct_causes, unexplained_count=unexplained_count)
+            singles, pairs = causes[:1], []
+        return self._choose_hint(singles, pairs)
+
+    def _choose_hint(self, singles: list[Cause], pairs: list[Cause]) -> Finding:
+        """Choose the cause that leaves the fewest pixels unexplained, if it is good enough.
+
+        A pair is preferred only if it leaves less than half as many pixels unexplained.
+        """
+        hint = min(
+            singles + pairs,
             default=(),
             key=lambda cause: (1 + (cause in pairs)) * self._count_unexplained(cause),
         )
-        if causes:
-            unexplained_count = self._count_unexplained_in_full(best_cause)
-            if unexplained_count <= self._max_unexplained:
-                return Finding(
-                    tuple(dict.fromkeys(map(remove_variants, causes))), unexplained_count
-                )
         max_unexplained = _MAX_HINT_SHARE * self.wrong_count
-        if self._count_unexplained(best_cause) <= max_unexplained and self._is_exact(best_cause):
-            unexplained_count = self._count_unexplained_in_full(best_cause)
-            return Finding((), unexplained_count, remove_variants(best_cause))
-        return Finding((), self.wrong_count)
+        if self._count_unexplained(hint) > max_unexplained or not self._is_exact(hint):
+            return Finding(causes=(), unexplained_count=self.wrong_count)
+        unexplained_count = self._count_unexplained_in_full(hint)
+        return Finding(causes=(), unexplained_count=unexplained_count, hint=remove_variants(hint))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels of the complete picture that a cause leaves unexplained."""
