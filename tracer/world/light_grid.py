@@ -119,7 +119,7 @@ class LightGrid(NamedTuple):
     patches: Patches
     cells_per_side: int
     # Position in `listed_part` where each list begins.  Each cell has four: see `_LIST_OF_FLAGS`.
-    list_start: Shaped[NDArray[np.uint32], "4*cells_per_side**2*patches+1"]
+    list_start: Shaped[NDArray[np.uint32], "lists+1"]
     # Indices of the objects' parts in all lists, cell by cell and list by list.
     listed_part: Shaped[NDArray[np.uint32], "listed"]
     # Reversed direction bounds.  A part of an object may block segments from a part of a ball only
