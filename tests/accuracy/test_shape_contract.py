@@ -1,4 +1,4 @@
-"""The contract of a shape, checked for each shape, and by a shape that only the tests know."""
+"""The promises of `Shape`, checked for spheres, boxes, and cylinders, which only the tests know."""
 
 from dataclasses import replace
 

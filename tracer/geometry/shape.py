@@ -144,10 +144,12 @@ class Shape(ABC):
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         """Find the smallest and largest x at which each object may appear in a row of the picture.
 
-        The row of object i extends from y = top[i] to top[i] + height.  With height 0, it is a
-        line, and the result is exact except for rounding errors: antialiasing concludes that the
-        object covers what lies between.  Positions are in pixels from the upper left corner of the
-        picture.  If the object does not appear in the row, then left > right or both are NaN.
+        The row of object i extends from y = top[i] to top[i] + height.  Positions are in pixels
+        from the upper left corner of the picture.  If the object does not appear in the row, then
+        left > right or both are NaN.
+
+        With height 0, the row is a line.  Then the result must be exact except for rounding errors,
+        because antialiasing concludes that the object covers what lies between.
         """
 
     @abstractmethod
@@ -159,6 +161,8 @@ class Shape(ABC):
         ray_count: Shaped[Ints, "spans"] | None,
     ) -> tuple[Shaped[Floats, "n"], Shaped[NDArray[Any], "n"]]:
         """Compute where rays from the eye hit objects, span by span.
+
+        The rays of a span have consecutive elements in `ray_x`, and the same object and `ray_y`.
 
         Parameters
         ----------
@@ -309,10 +313,11 @@ class Shape(ABC):
         viewpoint: Shaped[Floats, "3 n"],
         ray: Shaped[Triple, "#6 n"],
     ) -> SilhouetteEdges:
-        """Find the edges of outlines, seen from a viewpoint, that may cross a cell.
+        """Find the edges of each object's outline, seen from a viewpoint, that may cross a cell.
 
-        The rays lead from the viewpoint, in camera axes.  The edge function is zero where a ray
-        touches the edge.  All values are 0 or NaN if the viewpoint is inside the object.
+        The viewpoint is in scene axes.  From there, six rays in camera axes lead to the six points
+        of the cell.  The edge function of an edge is zero where a ray touches the edge.  All values
+        are 0 or NaN if the viewpoint is inside the object.
         """
 
     def compute_inverse_t(
@@ -337,8 +342,8 @@ class Shape(ABC):
     ) -> Shaped[Triple, "m n"]:
         """Compute outward normals where rays from the eye hit the curved face.
 
-        The normals are in camera axes, and are not normalised.  `ray` and `inverse_t` are results
-        of `compute_inverse_t`.
+        The normals are in camera axes, and are not normalised.  `ray` is passed to
+        `compute_inverse_t`, which returns `inverse_t`.  Only shapes with a curved face need it.
         """
         raise NotImplementedError
 

@@ -270,12 +270,14 @@ def _compute_bounding_spheres(
     A packet ends before the first hit of the next packet.
     """
     if hits.scene.are_rows_bounded_by_ends and not isinstance(hits.samples, Scattered):
-        # On usual pictures, this takes 0.8 times the time that the minima and maxima would take.
+        # The sphere around the first and the last hit contains all hits of the packet (see
+        # `Shape.are_rows_bounded_by_ends`).  On usual pictures, finding it takes 0.8 times the time
+        # that the minima and maxima would take.
         last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
         corner = hits.from_eye.take(first_hit, axis=1)
         opposite_corner = hits.from_eye.take(last_hit, axis=1)
     else:
-        # The sphere encloses the bounding box of the hits.
+        # The sphere contains the bounding box of the hits.
         corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
         opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)

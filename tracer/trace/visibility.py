@@ -30,7 +30,7 @@ from tracer.world.prepared_scene import PreparedScene
 
 # Width of the vertical strips, in pixels, into which the picture is divided for scattered samples.
 # A run ends at the border of a strip, and where the depth changes by more than about the width of a
-# few strips.  So its hits are close together, and shadow tests can enclose them in a small sphere.
+# few strips.  So its hits are close together, and a small sphere contains them in shadow tests.
 _RUN_WIDTH = 4.0
 
 # Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
