@@ -164,7 +164,7 @@ class LightGrid(NamedTuple):
 
     def _match_parts(
         self, ball_parts: BoxParts
-    ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[Ints, "k"]]]:
+    ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
         """Find the objects' parts that have directions in common with each part of a ball.
 
         Yields batches of two arrays: indices of parts of balls, and of parts of objects.  No pair
