@@ -38,7 +38,7 @@ from typing import Annotated as Shaped
 
 import numpy as np
 
-from reference.judges.arrays import Bools, Floats, Ints, list_segment_elements
+from reference.judges.arrays import Bools, Floats, Ints
 from reference.judges.cells import MAX_WIDTH, Cells
 from reference.judges.enclosures import (
     CONSTANT,
@@ -91,16 +91,11 @@ class CellAnalysis:
             self._find_intersections()
 
     def _set_rays(self) -> None:
-        """Set `_half_cell_size`, `_rays` and `squared_ray_length`."""
-        frame, cells = self.faces.frame, self.cells
-        pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
-        self._half_cell_size = cells.width / 2 * pixel_size
-        # The components are right, down, and ahead; the coefficients are those of 1, X and Y.
-        self._rays = np.zeros((3, 3, cells.x.size))
-        self._rays[0, 0] = frame.to_ray_x(cells.x)
-        self._rays[1, 0] = frame.to_ray_y(cells.y)
-        self._rays[2, 0] = frame.depth
-        self._rays[0, 1], self._rays[1, 2] = self._half_cell_size
+        """Set `_rays`, `_half_cell_size` and `squared_ray_length`."""
+        cells = self.cells
+        self._rays = self.faces.compute_rays(cells.x, cells.y, cells.width)
+        pixel_size = self.faces.frame.pixel_width, self.faces.frame.pixel_height
+        self._half_cell_size = cells.width / 2 * np.array(pixel_size)[:, None]
         coefficients = np.zeros((8, cells.x.size))
         coefficients[:UNKNOWN_Z] = compute_squared_length(self._rays)
         coefficients[ERROR] = ROUNDING * coefficients[CONSTANT]
@@ -506,7 +501,7 @@ class CellAnalysis:
         one of the faces in this plane.
         """
         faces, cells = self.faces, self.cells
-        pair_indices = self._list_combined_pairs()
+        pair_indices = cells.list_combined_pairs()
         # If only one of two faces is planar, make it the second one.
         is_planar = faces.is_planar[cells.face_index[pair_indices[0]]]
         pair_indices = np.where(is_planar, pair_indices[::-1], pair_indices)
@@ -522,21 +517,3 @@ class CellAnalysis:
         functions = self._express_half_space(pair_index, plane)
         condition = Condition(claim_index=np.arange(pair_index.size), functions=functions)
         self._decide_claims(-1, np.zeros(pair_index.size, np.bool_), [condition])
-
-    def _list_combined_pairs(self) -> Shaped[Ints, "2 n"]:
-        """List all combinations of two pairs of the same cell, each once."""
-        cell_index = self.cells.cell_index
-        sorted_index = np.argsort(cell_index, kind="stable")
-        cell_start = cell_index[sorted_index].searchsorted(cell_index[sorted_index])
-        # Combine each pair with all earlier pairs of its cell.
-        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
-        return np.asarray(sorted_index[np.array(positions)])
-
-    def collect_edge_functions(self) -> EdgeFunctions:
-        pair_indices, light_indices, functions = zip(*self.edges, strict=True)
-        coefficients = np.concatenate([enclosures.coefficients for enclosures in functions], axis=1)
-        return EdgeFunctions(
-            pair_index=np.concatenate(pair_indices),
-            light_index=np.concatenate(light_indices),
-            functions=Enclosures(coefficients),
-        )

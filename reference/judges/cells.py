@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reference.judges.arrays import Bools, Floats, Ints
+from reference.judges.arrays import Bools, Floats, Ints, list_segment_elements
 from reference.judges.enclosures import Enclosures
 from reference.judges.faces import Faces
 
@@ -75,6 +75,15 @@ class Cells(NamedTuple):
         cell_index = new_index[self.cell_index]
         cells = self._replace(x=self.x[is_selected], y=self.y[is_selected], cell_index=cell_index)
         return cells.select_pairs(cell_index >= 0)[0]
+
+    def list_combined_pairs(self) -> Shaped[Ints, "2 n"]:
+        """List the indices of two pairs of the same cell, for all such combinations, each once."""
+        sorted_index = np.argsort(self.cell_index, kind="stable")
+        sorted_cell_index = self.cell_index[sorted_index]
+        cell_start = sorted_cell_index.searchsorted(sorted_cell_index)
+        # Combine each pair with all earlier pairs of its cell.
+        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
+        return np.asarray(sorted_index[np.array(positions)])
 
     @property
     def area(self) -> float:

@@ -70,6 +70,7 @@ from reference.judges.cell_analysis import CellAnalysis
 from reference.judges.cells import MAX_WIDTH, Cells, Contributions, make_initial_cells
 from reference.judges.enclosures import UNKNOWN_Z, Enclosures, enclose_constants
 from reference.judges.faces import Faces
+from reference.judges.ray_functions import concatenate_edges
 from reference.judges.regions import Regions, Strips, divide_into_regions, enclose_in_strips
 from reference.judges.shading import shade
 from tracer import Scene, to_codes
@@ -202,7 +203,7 @@ def _enclose_edges(
 
     Edges without a jump, and edges in skipped cells, get no strip.
     """
-    cells, edges = analysis.cells, analysis.collect_edge_functions()
+    cells, edges = analysis.cells, concatenate_edges(analysis.edges)
     cell_index = cells.cell_index[edges.pair_index]
     contribution_index = _find_contributions(
         contributions, edges.pair_index, edges.light_index, cells.is_settled.shape[1]

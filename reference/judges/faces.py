@@ -292,6 +292,23 @@ class Faces:
         is_unlit = is_separated | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
+    def compute_rays(
+        self, x: Shaped[Floats, "cells"], y: Shaped[Floats, "cells"], cell_width: float
+    ) -> Shaped[Floats, "3 3 cells"]:
+        """Compute the directions of camera rays in square cells, as functions of X and Y.
+
+        The cells have their centres at x and y in the picture, in pixels.  In each cell, X and Y
+        run from -1 to 1.  The first axis of the result holds the components right, down and ahead,
+        and the second the coefficients of 1, X and Y.
+        """
+        rays = np.zeros((3, 3, x.size))
+        rays[0, 0] = self.frame.to_ray_x(x)
+        rays[1, 0] = self.frame.to_ray_y(y)
+        rays[2, 0] = self.frame.depth
+        rays[0, 1] = cell_width / 2 * self.frame.pixel_width
+        rays[1, 2] = cell_width / 2 * self.frame.pixel_height
+        return rays
+
     def find_occluders(
         self,
         center: Shaped[Floats, "3 parts"],

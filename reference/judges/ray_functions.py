@@ -7,6 +7,7 @@ form smooth_part + root_factor * root_term, where the root term belongs to the p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
@@ -51,6 +52,17 @@ class EdgeFunctions(NamedTuple):
 
     def take(self, index: Shaped[Ints, "k"]) -> EdgeFunctions:
         return EdgeFunctions._make(field[index] for field in self)
+
+
+def concatenate_edges(edges: Sequence[EdgeFunctions]) -> EdgeFunctions:
+    """Concatenate the arrays of several groups of edge functions; there must be at least one."""
+    pair_indices, light_indices, functions = zip(*edges, strict=True)
+    coefficients = np.concatenate([enclosures.coefficients for enclosures in functions], axis=1)
+    return EdgeFunctions(
+        pair_index=np.concatenate(pair_indices),
+        light_index=np.concatenate(light_indices),
+        functions=Enclosures(coefficients),
+    )
 
 
 class Cone(NamedTuple):
