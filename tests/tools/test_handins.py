@@ -21,6 +21,8 @@ from reference.handins.folders import list_hand_ins, match_hand_ins
 from reference.handins.formulas import collect_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, sort_causes
+from reference.handins.search import Submission
+from reference.handins.symptoms import is_explained_by_rounding
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
 from tracer import (
@@ -237,6 +239,14 @@ def test_single_levels() -> None:
     assert reference("room").diagnose(Picture(codes)).kind == "levels-up"
 
 
+@np.errstate(all="ignore")
+def test_rounding_does_not_explain_a_difference_of_several_levels() -> None:
+    renderer = Reference(replace(scene("room"), width=10, height=10))._get_renderer(10, 10)
+    codes = renderer.reference_codes.copy()
+    codes[:, 55] ^= 4
+    assert not is_explained_by_rounding(Submission(codes, renderer))
+
+
 def test_an_incomplete_explanation_is_a_hint() -> None:
     """A shift, truncated levels, and a third mistake that is not in the table."""
     source = student.source_with("shift-right", "levels-truncated")
@@ -273,6 +283,8 @@ def test_a_picture_of_another_size_than_a_picture() -> None:
     diagnosis = alone.diagnose(Picture(np.arange(36, dtype=np.uint8).reshape(3, 4, 3)))
     assert diagnosis.kind == "size"
     assert str(diagnosis) == "The picture has 4x3 pixels in place of 240x135."
+    codes = np.arange(135 * 120 * 3, dtype=np.uint8).reshape(135, 120, 3)  # the height is right
+    assert alone.diagnose(Picture(codes)).kind == "size"
 
 
 def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
