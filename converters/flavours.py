@@ -437,9 +437,9 @@ def _convert_light(
 
 
 def choose_reflectance_divisor(surfaces: Surfaces) -> float:
-    """Return the smallest divisor, at least 1, of all reflectances that leaves none above 1.
+    """Choose the number by which all reflectances are divided, because Mitsuba allows none above 1.
 
-    Mitsuba does not allow reflectances above 1.  Only shaders that a surface uses count.
+    It is the smallest such number, but at least 1.  Shaders that no surface uses do not count.
     """
     used_shaders = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
     return max([1.0, *(float(np.max(_compute_reflectances(shader))) for shader in used_shaders)])

@@ -115,8 +115,9 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
     """Convert errors in a with block that converts or renders a scene to a `Failure`.
 
     The message is "PATH: cannot be PARTICIPLE: reason", where `path` is that of the scene file, and
-    the participle is, for example, "rendered".  OSError, MemoryError, ImportError, RuntimeError and
-    ValueError are converted, because Mitsuba raises all of them.
+    the participle is, for example, "rendered".  For a `ConversionError`, it is "converted".  Other
+    errors that are converted are OSError, MemoryError, ImportError, RuntimeError and ValueError,
+    because Mitsuba raises all of them.
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -126,11 +127,11 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Return the paths of files that this converter has not written; print a line for each other.
+    """Return the given paths without those of converted scenes, for which a line is printed.
 
     Naming a converted scene is no error, because the pattern *.xml matches converted scenes and
-    original ones.  The path of a file that cannot be read is returned, too: the caller reports the
-    error when it reads the file again.
+    original ones.  The path of a file that cannot be read is kept, because the caller reads the
+    file again and reports the error.
     """
     kept_paths = []
     for path in paths:

@@ -44,9 +44,9 @@ hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0, 3), mi.Vector3f(0, 0, -1)))
 assert abs(dr.mean(hit.t)[0] - 2) < .1
 """
 
-# The child process must not outlive its parent for long.  Ctrl-C reaches both: it ends the child at
-# once, because Dr.Jit may never end after a KeyboardInterrupt.  If only the parent ends, the child
-# ends after {seconds} at the latest.
+# The child process must not outlive its parent for long.  Ctrl-C reaches both.  It must end the
+# child at once, and not raise KeyboardInterrupt, after which Dr.Jit may never end.  If only the
+# parent ends, the child ends after {seconds} seconds at the latest.
 _CHILD_SETUP = """
 from signal import *
 if getsignal(SIGINT) is default_int_handler:

@@ -199,10 +199,11 @@ def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
 
 
 def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
-    """Return the picture format that the option --format, or the suffix of the file at -o, names.
+    """Return the picture format, a key of `FORMATS`, from the options --format and -o.
 
-    It is a key of `FORMATS`.  If neither option determines the format, it is "png".  If the suffix
-    is unknown or contradicts the option --format, the parser ends the process with an error.
+    Without --format, the suffix of the file at -o determines the format.  Without such a suffix, it
+    is "png".  If the suffix is unknown or contradicts --format, the parser ends the process with an
+    error.
     """
     output = arguments.output or ""
     valid_formats = [arguments.format] if arguments.format else list(FORMATS)
@@ -301,9 +302,11 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     while quiet or not (sys.stdout is None or sys.stdout.closed):
         versions = {job: _read_version(job.scene_path, old_versions[job]) for job in jobs}
         # An editor may write a file in pieces, so wait until it stops changing.
-        stable_versions = {job: versions[job] for job in jobs if versions[job] == old_versions[job]}
+        stable_versions = {
+            job: version for job, version in versions.items() if version == old_versions[job]
+        }
         changed_jobs = [
-            job for job in stable_versions if stable_versions[job] != rendered_versions.get(job)
+            job for job, version in stable_versions.items() if version != rendered_versions.get(job)
         ]
         old_versions = versions
         rendered_versions |= stable_versions
@@ -328,8 +331,8 @@ class _FileVersion:
 def _read_version(path: str, previous: _FileVersion | None) -> _FileVersion:
     """Read the version of a file.
 
-    `previous` is the version that was read before, or None.  If it is settled and has the current
-    status, it is returned, and the file is not read.
+    `previous` is the version that was read before, or None.  It is returned, without reading the
+    file again, if it is settled and the status of the file is still the same.
     """
     now = monotonic()
     status = None

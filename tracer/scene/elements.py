@@ -120,8 +120,9 @@ class Parser:
     def parse(self, file: IO[bytes]) -> None:
         """Parse a whole scene file.
 
-        Raise FatalError if the file is empty, is not well-formed XML, or exceeds a limit.  Elements
-        before the error have then been passed on.  Raise TypeError if `file` is a text file.
+        Raise FatalError if the file is empty, is not well-formed XML, or exceeds a limit.
+        `read_element` has then been called for all elements before the error.  Raise TypeError if
+        `file` is a text file.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -161,10 +162,10 @@ class Parser:
             raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
 
     def _diagnose_syntax_error(self, error: expat.ExpatError, next_bytes: bytes) -> FatalError:
-        """Convert a syntax error of expat to an error with a suggested fix, and return that.
+        """Return an error, with a suggested fix, for a syntax error of expat.
 
-        `next_bytes` follow the current chunk in the file.  If expat has run out of memory, raise
-        MemoryError.
+        `next_bytes` follow the current chunk in the file.  Raise MemoryError if expat has run out
+        of memory.
         """
         message = expat.ErrorString(error.code)
         if message == expat.errors.XML_ERROR_NO_MEMORY:
@@ -177,7 +178,7 @@ class Parser:
         return FatalError(line, f"not XML: {message} at column {error.offset + 1}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
-        """Create an element, and add it to its parent; if it is the root, pass it on.
+        """Create an element, and add it to its parent; if it is the root, call `read_element`.
 
         Children of the root are not added to it, so that their memory can be freed.  Raise
         FatalError if there are too many elements or attributes.
@@ -204,7 +205,7 @@ class Parser:
             raise FatalError(element.line, f"{container_tag}: {message}; {remedy}")
 
     def _handle_end_tag(self, _tag: str) -> None:
-        """Close the innermost open element; if it is a child of the root, pass it on."""
+        """Close the innermost open element; if it is a child of the root, call `read_element`."""
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
             self.read_element(element)

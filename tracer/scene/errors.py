@@ -74,7 +74,7 @@ class ErrorCollector:
         return suggestion.name
 
     def report_duplicate(self, element: Element, original: Element) -> None:
-        """Report an element that defines the same thing as an earlier one.
+        """Report an element that defines the same thing as `original`, an earlier one.
 
         Their tags may differ: <intensity> and <color> have the same meaning.
         """

@@ -399,7 +399,7 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...],
         line: ArrayLike | None,
     ) -> None:
-        """Set all attributes of a new instance: both ways of creating one call this."""
+        """Set the attributes of a new instance, for `__init__` and `from_tables`."""
         self.tables = {kind: _copy_columns(kind, columns) for kind, columns in tables.items()}
         self.counts = {
             kind: len(next(iter(columns.values()))) for kind, columns in self.tables.items()
