@@ -77,12 +77,12 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Divide pictures into many tiles, and share even the smallest pictures with an executor."""
-    from tracer.picture import render
+    from tracer.picture import parallel
 
-    for name in ("PROCESSES", "THREADS"):
-        monkeypatch.setattr(render, name, getattr(render, name)._replace(min_seconds=0))
-    monkeypatch.setattr("tracer.picture.render._MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr("tracer.picture.render._ADAPTIVE_FACTOR", 1)
+    for workers in (parallel.Threads, parallel.WorkerPool):
+        monkeypatch.setattr(workers, "sharing", workers.sharing._replace(min_seconds=0))
+    monkeypatch.setattr("tracer.picture.tiles._MAX_TILE_SAMPLES", 1000)
+    monkeypatch.setattr("tracer.picture.tiles._ADAPTIVE_FACTOR", 1)
 
 
 @pytest.fixture

@@ -28,7 +28,8 @@ from tracer.arrays import Bools, Floats
 from tracer.geometry.camera import compute_frame
 from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.sphere import Spheres
-from tracer.picture.render import PROCESSES, RenderJob
+from tracer.picture.parallel import WorkerPool
+from tracer.picture.render_job import RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import compute_radiance
@@ -242,8 +243,8 @@ def test_threads_share_prepared_lights(monkeypatch):
         position = np.concatenate([lights.position for lights in all_batches[3]])
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same holds if threads render the tiles of a picture.
-        monkeypatch.setattr("tracer.picture.render._MAX_TILE_SECONDS", 1e-4)
-        assert len(RenderJob(scene).divide(PROCESSES)) > 10
+        monkeypatch.setattr("tracer.picture.tiles._MAX_TILE_SECONDS", 1e-4)
+        assert len(RenderJob(scene).divide(WorkerPool.sharing)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
 
 

@@ -9,7 +9,8 @@ from random_scenes import KINDS, random_scene
 
 from tracer import Lambertian, Scene, render
 from tracer.antialias import refine
-from tracer.picture import render as render_module
+from tracer.picture import tiles
+from tracer.picture.render_job import RenderJob
 
 pytestmark = [
     pytest.mark.usefixtures("pixels_are_split"),
@@ -71,7 +72,7 @@ def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
         assert np.array_equal(render(shuffled, samples), image)
         with monkeypatch.context() as context:
             for tile_size, batch_size in ((15, 200), (20, refine._SAMPLES_PER_BATCH)):
-                context.setattr(render_module, "_MAX_TILE_SAMPLES", tile_size)
-                assert len(render_module.RenderJob(shuffled, samples).divide(None)) > 1
+                context.setattr(tiles, "_MAX_TILE_SAMPLES", tile_size)
+                assert len(RenderJob(shuffled, samples).divide(None)) > 1
                 context.setattr(refine, "_SAMPLES_PER_BATCH", batch_size)
                 assert np.array_equal(render(shuffled, samples), image)

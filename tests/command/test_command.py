@@ -175,7 +175,7 @@ def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
 def test_a_bug_is_reported_in_a_line(scene, monkeypatch, capsys):
     """The command prints no traceback."""
     render_tile = Mock(return_value=np.full((30, 40, 3), np.nan))
-    monkeypatch.setattr("tracer.picture.render.RenderJob.render_tile", render_tile)
+    monkeypatch.setattr("tracer.picture.render_job.RenderJob.render_tile", render_tile)
     assert cli.main([str(scene), "--samples", "4"]) == 1
     reason = "an image must not contain NaN; this is a bug in the tracer"
     error = f"{scene}: cannot be rendered: {reason}; please report it with the scene\n"
@@ -292,5 +292,5 @@ def test_a_small_picture_imports_no_module_that_it_does_not_need(scene):
         f"main([{str(scene)!r}])\nprint(*set(sys.modules) - before)"
     )
     loaded = set(run(python=("-c", script))[1].split())
-    assert "tracer.picture.render" in loaded
+    assert "tracer.picture.render_job" in loaded
     assert not loaded & {"tqdm", "PIL", "difflib", "multiprocessing", "concurrent.futures.process"}

@@ -16,7 +16,7 @@ import tracer
 from tracer import Camera, PointLight, Sphere
 from tracer.command import cli
 from tracer.picture.lint import SceneWarning
-from tracer.picture.render import RenderJob
+from tracer.picture.render_job import RenderJob
 
 # Corners, a row, a column, a pixel, a part inside, and the whole picture of 96 x 54 pixels.
 CROPS = [
@@ -44,8 +44,8 @@ def test_every_pixel_is_that_of_the_whole_picture(name, samples, max_samples, mo
     scene = replace(tracer.load_scene(ROOT / "scenes" / f"{name}.xml"), **size)
     whole = tracer.render(scene, samples)
     if max_samples:
-        monkeypatch.setattr("tracer.picture.render._MAX_TILE_SAMPLES", max_samples)
-        monkeypatch.setattr("tracer.picture.render._ADAPTIVE_FACTOR", 1)
+        monkeypatch.setattr("tracer.picture.tiles._MAX_TILE_SAMPLES", max_samples)
+        monkeypatch.setattr("tracer.picture.tiles._ADAPTIVE_FACTOR", 1)
     crops = [(13, 11, 61, 2)] if max_samples or samples == 900 else CROPS
     for crop in crops:
         part = tracer.render(scene, samples, crop=crop)

@@ -19,9 +19,9 @@ from probe import sphere_scene
 from running import run, write_ball
 
 from tracer import Scene, render
-from tracer.picture import parallel
+from tracer.picture import parallel, render_job, tiles
 from tracer.picture import render as render_module
-from tracer.picture.render import PROCESSES, RenderJob
+from tracer.picture.render_job import RenderJob
 
 # Number of random cases: some in the quick run, many in the slow run.
 some_or_many = pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
     executor = UnreliableExecutor(FAILURES["never ended"], 0)
     executor.failure_rate = 1
     for owner, name in (
-        (render_module, "compute_radiance"),
+        (render_job, "compute_radiance"),
         (parallel, "_wait_for_any"),
     ):
         with monkeypatch.context() as patch:
@@ -202,13 +202,14 @@ def test_renders_in_threads_may_share_the_pool_of_these_threads(count):
 
 @pytest.mark.parametrize("processors", [1, 2, 6, 100])
 def test_two_items_per_processor_are_submitted(processors, monkeypatch):
-    for module in (parallel, render_module):
+    for module in (parallel, render_module, tiles):
         monkeypatch.setattr(module, "count_processors", lambda: processors)
     executor = UnreliableExecutor(FAILURES["never ended"], 0)
     executor.failure_rate = 1
     assert np.array_equal(render(sphere_scene(), executor=executor), render(sphere_scene()))
-    tiles = len(RenderJob(sphere_scene()).divide(PROCESSES))
-    assert executor.failure_count == min(2 * processors, tiles * processors // (processors + 1))
+    tile_count = len(RenderJob(sphere_scene()).divide(parallel.WorkerPool.sharing))
+    worker_share = tile_count * processors // (processors + 1)
+    assert executor.failure_count == min(2 * processors, worker_share)
 
 
 def test_an_item_that_takes_as_long_in_a_worker_as_here_is_not_repeated():
@@ -251,7 +252,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
 import numpy as np
 from tracer import load_scene, render
-from tracer.picture import render as module
+from tracer.picture import tiles
+from tracer.picture.parallel import WorkerPool
 
 send, count = Connection._send, int(sys.argv[2])
 
@@ -263,8 +265,8 @@ def send_a_part(self, data, *rest):
     send(self, data, *rest)
 
 Connection._send = send_a_part
-module.PROCESSES = module.PROCESSES._replace(min_seconds=0)
-module._MAX_TILE_SAMPLES = 1000
+WorkerPool.sharing = WorkerPool.sharing._replace(min_seconds=0)
+tiles._MAX_TILE_SAMPLES = 1000
 scene = load_scene(sys.argv[1])
 alone = render(scene)
 for k in range(count):

@@ -34,10 +34,10 @@ from running import (
 
 from tracer import Camera, Sphere, load_scene, render, save_scene
 from tracer.command import cli
-from tracer.picture import parallel
-from tracer.picture import render as render_module
-from tracer.picture.parallel import WorkerPool
-from tracer.picture.render import PROCESSES, THREADS, RenderJob, render_tiles
+from tracer.picture import parallel, tiles
+from tracer.picture.parallel import Threads, WorkerPool
+from tracer.picture.png import compress_tile
+from tracer.picture.render_job import RenderJob
 
 SCENES = ROOT / "scenes"
 
@@ -54,18 +54,18 @@ SCENES = ROOT / "scenes"
     ],
 )
 def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch):
-    monkeypatch.setattr(render_module, "count_processors", lambda: processors)
+    monkeypatch.setattr(tiles, "count_processors", lambda: processors)
     width, height = size
     scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
-    for sharing in (None, PROCESSES, THREADS):
+    for sharing in (None, WorkerPool.sharing, Threads.sharing):
         job = RenderJob(scene, samples)
-        tiles = job.divide(sharing)
+        rectangles = job.divide(sharing)
         max_seconds = 0.25 / (1 + samples / 10_000)
-        assert len(tiles) >= min(job.seconds / max_seconds, width * height)
-        assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not sharing
+        assert len(rectangles) >= min(job.seconds / max_seconds, width * height)
+        assert len(rectangles) >= min(4 * processors, job.seconds / 0.05) or not sharing
         counts = np.zeros((height, width), dtype=int)
-        for tile in tiles:
-            counts[tile] += 1
+        for rectangle in rectangles:
+            counts[rectangle] += 1
         assert (counts == 1).all()
 
 
@@ -91,7 +91,7 @@ def test_the_picture_is_the_same_however_it_is_divided(samples, monkeypatch):
     images = []
     # Each tile is a single pixel, then one or two rows, then the whole picture.
     for seconds in (1e-9, 1e-4, 1):
-        monkeypatch.setattr(render_module, "_MAX_TILE_SECONDS", seconds)
+        monkeypatch.setattr(tiles, "_MAX_TILE_SECONDS", seconds)
         images.append(render(scene, samples))
     assert len(RenderJob(scene, samples).divide(None)) == 1
     assert np.array_equal(images[0], images[2])
@@ -116,7 +116,9 @@ def test_a_picture_with_some_black_tiles_is_not_black(y, small_tiles, tmp_path, 
     """Either the first tile or the last tile is black."""
     camera = Camera(view_point=(0, 0, 10), view_width=0.6, view_height=0.6)
     scene = scene_of(Sphere(center=(0, y, 0)), camera=camera, size=(90, 90), lights=(3, 4, 9))
-    black = [not exposure.lit_count for _, exposure in render_tiles(RenderJob(scene))]
+    black = [
+        not exposure.lit_count for _, exposure in RenderJob(scene).render_tiles(compress_tile, 1)
+    ]
     assert black[0] != black[-1]
     save_scene(scene, tmp_path / "scene.xml")
     assert cli.main([str(tmp_path / "scene.xml")]) == 0
@@ -128,7 +130,7 @@ def test_leaving_early_drops_the_remaining_items_and_ends_the_pool(small_tiles):
     job = RenderJob(sphere_scene())
     with closing(WorkerPool(1)) as pool:
         work = parallel.Distribution(job.render_tile, job.render_tile, 1, pool)
-        with closing(work.process(job.divide(PROCESSES))) as results:
+        with closing(work.process(job.divide(WorkerPool.sharing))) as results:
             next(results)
             assert multiprocessing.active_children()
         assert (work._waiting, work._futures) == (deque(), {})

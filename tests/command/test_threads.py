@@ -16,8 +16,8 @@ from running import ROOT, run
 
 from tracer import Scene, load_scene, render, to_png
 from tracer.command import batch, cli
-from tracer.picture import parallel
-from tracer.picture import render as render_module
+from tracer.picture import parallel, tiles
+from tracer.picture.render_job import RenderJob
 
 SCENES = ROOT / "scenes"
 
@@ -27,7 +27,7 @@ def no_lock(monkeypatch: pytest.MonkeyPatch, small_tiles: None) -> None:
     """Use three threads, as Python without a lock does with three processors."""
     for module in (parallel, batch):
         monkeypatch.setattr(module, "has_gil", lambda: False)
-    for module in (parallel, render_module, cli):
+    for module in (parallel, tiles, cli):
         monkeypatch.setattr(module, "count_processors", lambda: 3)
 
 
@@ -89,11 +89,11 @@ def test_many_threads_render_the_same_scene_at_once(samples, count):
 @pytest.mark.parametrize("samples", [1, 4])
 def test_many_threads_use_the_same_prepared_scene_at_once(samples):
     for scene in make_shared_scenes():
-        rectangles = render_module.RenderJob(scene, samples).divide(render_module.THREADS)
+        rectangles = RenderJob(scene, samples).divide(parallel.Threads.sharing)
         alone = render(scene, samples, threads=1)
         with ThreadPoolExecutor(8) as pool:
             for _ in range(3):
-                job = render_module.RenderJob(scene, samples)
+                job = RenderJob(scene, samples)
                 for k, radiance in enumerate(pool.map(job.render_tile, rectangles * 8)):
                     assert np.array_equal(radiance, alone[rectangles[k % len(rectangles)]])
 
@@ -147,7 +147,7 @@ def test_a_small_picture_starts_no_thread(monkeypatch, workers):
 @pytest.fixture
 def failing_tile(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], None]:
     """Return a function that makes all tiles of the lower half of a picture raise an error."""
-    compute = render_module.RenderJob.render_tile
+    compute = RenderJob.render_tile
 
     def fail_with(error: BaseException) -> None:
         def render_tile(job: Any, rectangle: Any, **options: Any) -> Any:
@@ -155,7 +155,7 @@ def failing_tile(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], N
                 raise error
             return compute(job, rectangle, **options)
 
-        monkeypatch.setattr(render_module.RenderJob, "render_tile", render_tile)
+        monkeypatch.setattr(RenderJob, "render_tile", render_tile)
 
     return fail_with
 
@@ -171,7 +171,7 @@ def test_an_error_is_raised_and_no_thread_is_left(error, failing_tile, workers):
 
 def test_an_error_in_a_thread_alone_costs_no_tile(monkeypatch):
     """For example, memory may suffice for one tile at a time."""
-    compute = render_module.RenderJob.render_tile
+    compute = RenderJob.render_tile
 
     def render_tile(job: Any, rectangle: Any, **options: Any) -> Any:
         if threading.current_thread() is not threading.main_thread():
@@ -179,7 +179,7 @@ def test_an_error_in_a_thread_alone_costs_no_tile(monkeypatch):
         return compute(job, rectangle, **options)
 
     alone = render(sphere_scene(), threads=1)
-    monkeypatch.setattr(render_module.RenderJob, "render_tile", render_tile)
+    monkeypatch.setattr(RenderJob, "render_tile", render_tile)
     assert np.array_equal(render(sphere_scene()), alone)
 
 

@@ -17,11 +17,10 @@ only if the remaining work takes longer than starting them.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from functools import partial
-from operator import add
 from time import perf_counter
 from typing import IO, Any, NamedTuple
 
@@ -37,47 +36,14 @@ from tracer.files import (
     set_part_prefix,
 )
 from tracer.messages import make_printable
-from tracer.picture.linear import (
-    EXR_MAGIC,
-    NPY_MAGIC,
-    encode_float32,
-    encode_float64,
-    write_exr,
-    write_npy,
-)
+from tracer.picture.formats import FORMATS, EncodedTile, TileEncoder
 from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, Threads, WorkerPool, has_gil
-from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
-from tracer.picture.render import (
-    PROCESSES,
-    THREADS,
-    EncodedTile,
-    Rectangle,
-    RenderJob,
-    Sharing,
-    TileEncoder,
-    render_tiles,
-)
+from tracer.picture.render_job import RenderJob
+from tracer.picture.tiles import Rectangle
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
-
-
-class Format(NamedTuple):
-    """A picture format."""
-
-    magic: bytes  # the first bytes of a file
-    encode: TileEncoder
-    # Writes a file from its width, its height and the results of `encode` for all tiles.
-    write: Callable[[IO[bytes], int, int, Iterable[Any]], None]
-
-
-FORMATS: dict[str, Format] = {
-    "png": Format(magic=PNG_MAGIC, encode=compress_tile, write=write_tiles),
-    "npy": Format(magic=NPY_MAGIC, encode=encode_float64, write=write_npy),
-    "exr": Format(magic=EXR_MAGIC, encode=encode_float32, write=write_exr),
-}
-"""Picture formats, by the suffix of the file name."""
 
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SHRINK = "make the image smaller or take fewer samples"
@@ -105,7 +71,7 @@ class Job(NamedTuple):
 
     scene_path: str  # "-" is standard input
     output_path: str  # "-" is standard output
-    # Minimum estimated seconds for which all workers share the picture; chosen by `Batch`.
+    # Minimum estimated seconds for which all workers share the picture; chosen by `_Run`.
     min_shared_seconds: float = 0.0
 
 
@@ -113,11 +79,11 @@ class _Tile(NamedTuple):
     """A tile of a picture that all workers share: an item of the list."""
 
     render_job: RenderJob
-    rectangle: Rectangle
     encode: TileEncoder
+    rectangle: Rectangle
 
     def render(self) -> EncodedTile:
-        return self.render_job.encode_tile(self.rectangle, self.encode)
+        return self.render_job.encode_tile(self.encode, self.rectangle)
 
 
 class Report(NamedTuple):
@@ -140,22 +106,20 @@ class Batch:
         Maximum number of processes or threads, including the calling one.
     """
 
-    _pool: WorkerPool | Threads
-    _sharing: Sharing
+    settings: Settings
+    pool: WorkerPool | Threads
 
     def __init__(self, settings: Settings, max_processes: int) -> None:
-        self._settings = settings
+        self.settings = settings
         worker_count = max_processes - 1
         if has_gil():
-            self._pool = WorkerPool(worker_count, partial(_init_worker, get_part_prefix()))
-            self._sharing = PROCESSES
+            self.pool = WorkerPool(worker_count, partial(_init_worker, get_part_prefix()))
         else:
-            self._pool = Threads(worker_count)
-            self._sharing = THREADS
+            self.pool = Threads(worker_count)
 
     def close(self) -> None:
-        """End the workers, if there are any, and remove part files of processes."""
-        self._pool.close()
+        """End the workers, if there are any, and remove their incomplete files."""
+        self.pool.close()
         remove_part_files()
 
     def render(self, jobs: Sequence[Job]) -> bool:
@@ -164,91 +128,103 @@ class Batch:
         If a scene cannot be rendered, an error is printed, and the other scenes are still rendered.
         Return whether all pictures were written.
         """
-        worker_count = self._pool.worker_count
-        # At the end, too few scenes are left to occupy all workers.  So any large one among them is
-        # divided.
-        unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        limits = [_MAX_UNSHARED_SECONDS] * unshared_count
-        limits += [self._sharing.min_seconds] * (len(jobs) - unshared_count)
-        items = [
-            job._replace(min_shared_seconds=limit) for job, limit in zip(jobs, limits, strict=True)
-        ]
-        # If a worker declines a scene or fails, for example because it lacks memory, this thread
-        # renders the scene.
-        self._distribution = Distribution[Job | _Tile, Any](
-            function=self._process,
-            remote_function=partial(_process_in_worker, self._settings),
-            worker_count=worker_count,
-            is_valid=lambda _item, result: result is not None,
-        )
-        # Numbers of finished scenes, and of pixels in their pictures.
-        self._finished_count = self._pixel_count = 0
-        self._job_count = len(jobs)
         has_succeeded = True
-        self._unshared_paths = [job.output_path for job in jobs]  # see `register_result_folders`
-        with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
-            for job, report in zip(jobs, self._distribution.process(items), strict=True):
-                self._finished_count += 1
-                self._pixel_count += report.pixel_count
+        with Progress(len(jobs), "pictures", show=not self.settings.quiet) as progress:
+            reports = _Run(self, jobs, progress).render_scenes()
+            for job, report in zip(jobs, reports, strict=True):
                 has_succeeded &= report.pixel_count > 0
-                self._show_progress(0, 0)
                 for line in report.notices:
                     print_line(sys.stderr, line)
                 if report.line:
                     print_line(sys.stderr if job.output_path == "-" else sys.stdout, report.line)
         return has_succeeded
 
-    def _process(self, item: Job | _Tile) -> Report | EncodedTile:
-        """Process an item in the main thread.
 
-        While a scene is rendered, the progress is shown, and items are submitted to the workers.
-        """
+class _Run:
+    """One call of `Batch.render`: the list of its items, and how far they are."""
+
+    def __init__(self, batch: Batch, jobs: Sequence[Job], progress: Progress) -> None:
+        self._settings = batch.settings
+        self._pool = batch.pool
+        self._jobs = jobs
+        self._progress = progress
+        self._finished_count = 0  # of scenes
+        self._pixel_count = 0  # in the pictures of the finished scenes
+        # If a worker declines a scene or fails, for example because it lacks memory, this thread
+        # renders the scene.
+        self._distribution = Distribution[Job | _Tile, Any](
+            function=self._process,
+            remote_function=partial(_process_in_worker, self._settings),
+            worker_count=self._pool.worker_count,
+            is_valid=lambda _item, result: result is not None,
+        )
+
+    def render_scenes(self) -> Iterator[Report]:
+        """Render all scenes, and yield their reports in order."""
+        # At the end, too few scenes are left to occupy all workers.  So any large one among them is
+        # divided.
+        rest_count = len(self._jobs) % (self._pool.worker_count + 1)
+        limits = [_MAX_UNSHARED_SECONDS] * (len(self._jobs) - rest_count)
+        limits += [self._pool.sharing.min_seconds] * rest_count
+        items = [
+            job._replace(min_shared_seconds=limit)
+            for job, limit in zip(self._jobs, limits, strict=True)
+        ]
+        for report in self._distribution.process(items):
+            self._finished_count += 1
+            self._pixel_count += report.pixel_count
+            self._show_progress(0, 0)
+            yield report
+
+    def _process(self, item: Job | _Tile) -> Report | EncodedTile:
+        """Process an item in the main thread."""
         if isinstance(item, _Tile):
             return item.render()
         start_time = perf_counter()
-        encode = FORMATS[self._settings.file_format].encode
         try:
             render_job = _make_render_job(item, self._settings)
-            # The other scenes presumably take about as long.
-            seconds = render_job.seconds * (self._job_count - self._finished_count)
-            if seconds >= self._sharing.min_seconds:
-                self._use_workers()
-            if render_job.seconds >= item.min_shared_seconds:
-                rectangles = render_job.divide(self._sharing if self._pool.worker_count else None)
-                items = [
-                    _Tile(render_job=render_job, rectangle=rectangle, encode=encode)
-                    for rectangle in rectangles
-                ]
-                tiles = self._distribution.process(items)
-            else:
-                tiles = render_tiles(render_job, encode, threads=1)
-            with closing(tiles):
-                tracked_tiles = self._track(render_job, tiles)
-                return _write_picture(item, self._settings, render_job, tracked_tiles, start_time)
+            self._start_workers_if_worthwhile(render_job)
+            with closing(self._render_tiles(item, render_job)) as tiles:
+                return _write_picture(item, self._settings, render_job, tiles, start_time)
         except Failure as failure:
             return Report(notices=(str(failure),))
 
-    def _use_workers(self) -> None:
-        """Start submitting items to the workers."""
-        register_result_folders(self._unshared_paths)
-        self._unshared_paths.clear()
-        self._distribution.executor = self._pool
+    def _start_workers_if_worthwhile(self, render_job: RenderJob) -> None:
+        """Let workers take items if the remaining scenes, with that of `render_job`, take long."""
+        # The other scenes presumably take about as long.
+        seconds = render_job.seconds * (len(self._jobs) - self._finished_count)
+        if seconds >= self._pool.sharing.min_seconds and self._distribution.executor is None:
+            register_result_folders(job.output_path for job in self._jobs)
+            self._distribution.executor = self._pool
+        self._distribution.submit_items()
 
-    def _track(self, render_job: RenderJob, tiles: Iterator[EncodedTile]) -> Iterator[EncodedTile]:
-        """Yield tiles of a picture; after each, show the progress, and keep the workers busy."""
+    def _render_tiles(self, job: Job, render_job: RenderJob) -> Generator[EncodedTile]:
+        """Yield all tiles of a picture, which the workers share if it is large.
+
+        After each tile, show the progress, and keep the workers busy.
+        """
+        encode = FORMATS[self._settings.file_format].encode
+        if render_job.seconds < job.min_shared_seconds:
+            tiles = render_job.render_tiles(encode, max_threads=1)
+        else:
+            rectangles = render_job.divide(self._pool.sharing if self._pool.worker_count else None)
+            tiles = self._distribution.process(
+                _Tile(render_job=render_job, encode=encode, rectangle=rectangle)
+                for rectangle in rectangles
+            )
         all_pixels = render_job.width * render_job.height
         pixel_count = 0
-        self._distribution.submit_items()
-        for tile in tiles:
-            yield tile
-            pixel_count += tile.exposure.pixel_count
-            self._show_progress(pixel_count / all_pixels, pixel_count)
-            self._distribution.submit_items()
+        with closing(tiles):
+            for tile in tiles:
+                yield tile
+                pixel_count += tile.exposure.pixel_count
+                self._show_progress(pixel_count / all_pixels, pixel_count)
+                self._distribution.submit_items()
 
     def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
-        """Show progress in pictures and pixels, including the rendered part of the current picture.
+        """Show progress in pictures and pixels.
 
-        The fraction is from 0 to 1.
+        Add the rendered part of the current picture: a fraction from 0 to 1, and its pixels.
         """
         note = format_pixel_count(self._pixel_count + rendered_pixel_count)
         self._progress.update(self._finished_count + rendered_fraction, note)
@@ -273,7 +249,7 @@ def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | Encode
     render_job = _make_render_job(item, settings)
     if render_job.seconds >= item.min_shared_seconds:
         return None
-    tiles = render_tiles(render_job, FORMATS[settings.file_format].encode, threads=1)
+    tiles = render_job.render_tiles(FORMATS[settings.file_format].encode, max_threads=1)
     return _write_picture(item, settings, render_job, tiles, start_time)
 
 
@@ -298,26 +274,24 @@ def _write_picture(
     start_time: float,  # of `perf_counter`
 ) -> Report:
     """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
-    exposure = Exposure()
     file_format = FORMATS[settings.file_format]
-
-    def list_data() -> Iterator[Any]:
-        nonlocal exposure
-        for tile in tiles:
-            exposure = Exposure(*map(add, exposure, tile.exposure))
-            yield tile.data
-
     with (
         errors_as_failure(job.scene_path, "rendered", _BUG, error_types=(ValueError,)),
         errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
-        open(1, "wb", closefd=False)
-        if job.output_path == "-"
-        else open_atomically(job.output_path, file_format.magic) as file,
+        _open_output(job.output_path, file_format.magic) as file,
     ):
-        file_format.write(file, render_job.width, render_job.height, list_data())
+        width, height = render_job.width, render_job.height
+        exposure = file_format.write_picture(file, width, height, tiles)
     if settings.quiet:
         return Report(pixel_count=exposure.pixel_count)
     return _make_report(job, render_job, exposure, seconds=perf_counter() - start_time)
+
+
+def _open_output(path: str, magic: bytes) -> AbstractContextManager[IO[bytes]]:
+    """Open standard output if the path is "-"; otherwise a file that replaces only pictures."""
+    if path == "-":
+        return open(1, "wb", closefd=False)
+    return open_atomically(path, magic)
 
 
 def _make_report(job: Job, render_job: RenderJob, exposure: Exposure, *, seconds: float) -> Report:

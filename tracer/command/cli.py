@@ -40,10 +40,11 @@ from tracer.command.arguments import (
     make_output_folder,
     parse_positive_int,
 )
-from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
+from tracer.command.batch import Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_or_raise
 from tracer.messages import make_printable
+from tracer.picture.formats import FORMATS
 from tracer.picture.parallel import count_processors
 from tracer.scene.elements import MAX_BYTES
 from tracer.version import __version__

@@ -7,6 +7,8 @@ which objects are visible, and why no light reaches them.
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterator
 from typing import Annotated as Shaped
 from typing import NamedTuple
@@ -48,6 +50,26 @@ class SceneWarning(UserWarning):
     """
 
 
+def warn_user(message: str, category: type[Warning], *, in_notebook: bool = False) -> None:
+    """Give a warning that names the innermost line of the user's code.
+
+    That is the innermost line outside of the tracer.  While a notebook shows a scene, its own
+    functions are between that line and the tracer; then it is the innermost line of `__main__`.
+    """
+
+    def is_user_code(module_name: str) -> bool:
+        if in_notebook:
+            return module_name == "__main__"
+        return module_name.partition(".")[0] != "tracer"
+
+    level = 1  # of this function, as `warnings.warn` counts
+    frame = sys._getframe()
+    while frame.f_back is not None and not is_user_code(frame.f_globals.get("__name__", "")):
+        frame = frame.f_back
+        level += 1
+    warnings.warn(message, category, stacklevel=level)
+
+
 class Exposure(NamedTuple):
     """Counts of lit and clipped pixels in a picture, or in a tile of it."""
 
@@ -71,6 +93,14 @@ class Exposure(NamedTuple):
             pixel_count=pixel_count,
             lit_count=round(weight * np.count_nonzero(max_component)) or int(radiance.any()),
             clipped_count=round(weight * np.count_nonzero(max_component > 1)),
+        )
+
+    def add(self, other: Exposure) -> Exposure:
+        """Count the pixels of this part of a picture and of another one together."""
+        return Exposure(
+            pixel_count=self.pixel_count + other.pixel_count,
+            lit_count=self.lit_count + other.lit_count,
+            clipped_count=self.clipped_count + other.clipped_count,
         )
 
 

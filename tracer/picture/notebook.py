@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import io
-import sys
-import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from math import sqrt
-from operator import add
 
-from tracer.picture.lint import Exposure, SceneWarning, lint_scene
-from tracer.picture.png import CompressedTile, write_tiles
-from tracer.picture.render import RenderJob, render_tiles
+from tracer.picture.formats import FORMATS
+from tracer.picture.lint import SceneWarning, lint_scene, warn_user
+from tracer.picture.parallel import choose_thread_count
+from tracer.picture.render_job import RenderJob
 from tracer.scene.model import Scene
 
 # Maximum number of pixels in a notebook: 4096 x 4096, the most that Safari draws on iOS.
@@ -30,24 +27,18 @@ def make_notebook_png(scene: Scene) -> bytes:
     """
     shown_scene = _limit_size(scene)
     job = RenderJob(shown_scene)
-    exposure = Exposure()
-
-    def collect_tiles() -> Iterator[CompressedTile]:
-        nonlocal exposure
-        for tile, tile_exposure in render_tiles(job):
-            exposure = Exposure(*map(add, exposure, tile_exposure))
-            yield tile
-
+    png = FORMATS["png"]
     file = io.BytesIO()
-    write_tiles(file, shown_scene.width, shown_scene.height, collect_tiles())
+    tiles = job.render_tiles(png.encode, choose_thread_count(None))
+    exposure = png.write_picture(file, job.width, job.height, tiles)
     for message in lint_scene(shown_scene, job.prepared_scene, exposure):
-        warnings.warn(message, SceneWarning, stacklevel=_find_user_level())
+        warn_user(message, SceneWarning, in_notebook=True)
     if shown_scene is not scene:
         message = (
             f"the picture of {scene.width} x {scene.height} pixels is shown with only"
             f" {shown_scene.width} x {shown_scene.height}; tracer.write_png writes all of them"
         )
-        warnings.warn(message, stacklevel=_find_user_level())
+        warn_user(message, UserWarning, in_notebook=True)
     return file.getvalue()
 
 
@@ -61,19 +52,3 @@ def _limit_size(scene: Scene) -> Scene:
     if factor <= 1:
         return scene
     return replace(scene, width=max(1, int(width / factor)), height=max(1, int(height / factor)))
-
-
-def _find_user_level() -> int:
-    """Return the `stacklevel` with which the caller of this function warns about the user's line.
-
-    User code runs in the module `__main__`.  Between it and this module are functions of the
-    notebook.  If no caller is in `__main__`, return 2, which stands for the caller's caller.
-    """
-    level = 1
-    frame = sys._getframe(1)
-    while frame.f_globals.get("__name__") != "__main__":
-        if frame.f_back is None:
-            return 2
-        level += 1
-        frame = frame.f_back
-    return level

@@ -1,17 +1,19 @@
-"""Share work between this process and the workers of an executor.
+"""Share work between this process and workers.
 
+The work is a list of *items*.  This process and the workers take items from the front of the list.
 The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  The
-solution has two parts.  (1) Any process can process any *item*, with the same result.  (2) This
-process depends on no other one: when no item is left to take, it repeats those that the workers
-have not finished.  So a worker that fails costs time, but no result.
+solution has two parts.  (1) Whoever processes an item, the result is the same.  (2) When no item is
+left to take, this process repeats those that the workers have not finished.  So a worker that fails
+costs time, but no result.
 
-The workers of a command are processes: between two operations on arrays, a thread needs Python's
-global interpreter lock, so threads would often wait for each other.  Where Python has no such lock
-(*free-threaded* Python), they are threads of this process, and `tracer.render` starts some, too.
+Workers are usually processes.  Threads would often wait for each other, because only one at a time
+may run Python code between two operations on arrays: the one that holds Python's global interpreter
+lock.  Where Python has no such lock (*free-threaded* Python), workers are threads of this process.
 """
 
 from __future__ import annotations
 
+import operator
 import os
 import signal
 import sys
@@ -21,7 +23,16 @@ from collections.abc import Callable, Generator, Iterable, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    NamedTuple,
+    Protocol,
+    SupportsIndex,
+    TypeAlias,
+    TypeVar,
+)
 
 from tracer.children import end_children
 from tracer.files import remove_part_files
@@ -38,12 +49,12 @@ _Tasks: TypeAlias = "Set[_Task[Any, Any]]"  # those of one call of `Distribution
 # Maximum number of submitted but unfinished items for each worker: enough to keep the worker busy.
 _ITEMS_PER_WORKER = 2
 
-# Maximum number of starts of a pool: it is started again if a worker has died.
+# Maximum number of times that a pool starts workers: it starts new ones if a worker has died.
 _MAX_STARTS = 4
 
-# Maximum time, in seconds, to wait for the end of a pool's workers, and then of its threads.
-# Usually both end within milliseconds, but a worker may be busy with a large array, and if one has
-# died while it sent a result, a thread waits for the rest.
+# Maximum time, in seconds, to wait for the end of a pool's workers, and then of the threads that
+# manage it.  Usually both end within milliseconds.  But a worker may be busy with a large array,
+# and if one has died while it sent a result, a thread waits for the rest.
 _MAX_END_SECONDS = 0.5
 
 
@@ -57,21 +68,33 @@ def has_gil() -> bool:
     return bool(getattr(sys, "_is_gil_enabled", lambda: True)())
 
 
-def choose_thread_count(max_threads: int | None) -> int:
+def choose_thread_count(max_threads: SupportsIndex | None) -> int:
     """Choose how many threads work on a task of the calling thread, itself included.
 
     Without `max_threads`, all processors are used, but only for the main thread of a program that
     `multiprocessing` has not started.  All others presumably share the processors already: if each
     thread of a pool started one thread for each processor, they would be in each other's way.
+
+    Raise TypeError if `max_threads` is not an integer, and ValueError if it is less than 1.
     """
+    max_count = None if max_threads is None else operator.index(max_threads)
+    if max_count is not None and max_count < 1:
+        raise ValueError(f"threads must be at least 1, not {max_count}")
     if has_gil():
         return 1
-    if max_threads is not None:
-        return max_threads
+    if max_count is not None:
+        return max_count
     process_module = sys.modules.get("multiprocessing.process")
     is_child = process_module is not None and process_module.parent_process() is not None
     is_main = threading.current_thread() is threading.main_thread()
     return count_processors() if is_main and not is_child else 1
+
+
+class Sharing(NamedTuple):
+    """What is worth sharing with workers of one kind, in estimated seconds."""
+
+    min_seconds: float  # minimum for a picture, or for all pictures of a command
+    min_tile_seconds: float  # minimum for a tile: in smaller ones, the overhead is significant
 
 
 class Executor(Protocol):
@@ -97,13 +120,12 @@ class _Task(Generic[_Item, _Result]):
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and the workers of an executor process together.
 
-    All take items from the front of the list.  This process repeats an item in two cases: the
-    executor has failed to process it, or no item is left to take.  In the second case, it begins
-    with the items that no worker has begun.  Before it repeats an item that a worker has begun, it
-    waits for as long as its own slowest item took.
+    This process repeats an item if the executor has failed to process it.  It also does so if no
+    item is left to take; then it begins with the items that no worker has begun.  Before it repeats
+    an item that a worker has begun, it waits for as long as its own slowest item took.
 
-    While this process is busy with a large item, it can divide the item: a nested call of `process`
-    puts the parts in front of all other items.
+    While this process is busy with a large item, it can divide the item into smaller ones: a nested
+    call of `process` puts these in front of all other items.
 
     Parameters
     ----------
@@ -119,7 +141,8 @@ class Distribution(Generic[_Item, _Result]):
         remaining items.  It becomes None if submitting an item fails.
     is_valid
         Tests an item and the result that the executor returns for it: a worker may decline an item,
-        and an executor of a user may return anything.  An invalid result counts as a failure.
+        and an executor of a user may return anything.  If the result is not valid, this process
+        repeats the item.
     """
 
     def __init__(
@@ -144,8 +167,8 @@ class Distribution(Generic[_Item, _Result]):
 
         A caller that stops early must close the iterator, so that the remaining items are dropped.
         """
-        # A dict, to keep the order and to look tasks up.  Those of its tasks that nobody has taken
-        # stay at the front of `_waiting`: a nested call ends before another task is taken here.
+        # A dict, to keep the order and to look tasks up.  Tasks that nobody has taken stay at the
+        # front of `_waiting`, because a nested call ends before another task is taken here.
         tasks = dict.fromkeys(_Task[_Item, _Result](item) for item in items)
         self._waiting.extendleft(reversed(tasks))
         try:
@@ -186,21 +209,18 @@ class Distribution(Generic[_Item, _Result]):
             self._process_task(self._waiting.popleft())
             return
         futures = {task: future for task, future in self._futures.items() if task in tasks}
-        if futures:
-            # Workers have probably not begun the item that was submitted last.
-            task, future = futures.popitem()
-            has_begun = not future.cancel()
-            if has_begun and self._is_any_done_in_time([*futures.values(), future], tasks):
-                return  # there are results to collect, or other items to repeat first
-            del self._futures[task]
-            self._process_task(task)
-
-    def _is_any_done_in_time(self, futures: list[Future[Any]], tasks: _Tasks) -> bool:
-        """Wait until any future is done, or for as long as the slowest item took here."""
-        # Threads always answer.
-        if isinstance(self.executor, Threads):
-            return _wait_for_any(futures, None)
-        return _wait_for_any(futures, max(task.seconds for task in tasks))
+        if not futures:
+            return
+        # The item that was submitted last is the one that workers have most probably not begun.
+        last_task = [*futures][-1]
+        if not futures[last_task].cancel():
+            # Threads always answer.
+            always_answers = isinstance(self.executor, Threads)
+            max_seconds = None if always_answers else max(task.seconds for task in tasks)
+            if _wait_for_any(futures.values(), max_seconds):
+                return  # there are results to collect, or items to repeat that have failed
+        del self._futures[last_task]
+        self._process_task(last_task)
 
     def _process_task(self, task: _Task[_Item, _Result]) -> None:
         """Process an item in this process, and measure how long it takes."""
@@ -209,7 +229,7 @@ class Distribution(Generic[_Item, _Result]):
         task.seconds = perf_counter() - start_time
 
     def _collect_results(self, tasks: _Tasks) -> None:
-        """Store the results of items that the executor has finished; repeat those that failed."""
+        """Store the results that the executor has returned, and repeat the items that failed."""
         for task in [task for task, future in self._futures.items() if future.done()]:
             if task not in tasks:
                 continue
@@ -244,6 +264,9 @@ class Threads:
     No thread is left after `close`, so none can hold a lock while the process is forked.
     """
 
+    sharing = Sharing(min_seconds=0.02, min_tile_seconds=0.01)
+    worker_count: int
+
     def __init__(self, worker_count: int) -> None:
         self.worker_count = worker_count
         self._executor: ThreadPoolExecutor | None = None
@@ -266,15 +289,22 @@ class Threads:
 class WorkerPool:
     """The worker processes of a command, which are started when the first work is submitted.
 
-    Use this only from the command line.  On Linux, a calling process with a single thread is
-    forked, so workers start with all its modules and data.  Closing the pool kills all processes
-    that `multiprocessing` has started.
+    Use this only in a command, because closing the pool kills all processes that `multiprocessing`
+    has started.  On Linux, a calling process with a single thread is forked, so workers start with
+    all its modules and data.
 
     Workers end when the calling process ends.  They ignore SIGINT, which the terminal sends to all
-    processes when the user presses Ctrl-C: then the calling process ends the workers.
+    processes when the user presses Ctrl-C, because the calling process then ends them.
 
-    The initializer is called without arguments in each worker, before any work.
+    Parameters
+    ----------
+    initializer
+        Called without arguments in each worker, before any work.
     """
+
+    # Processes take time to start, and to prepare the scene.
+    sharing = Sharing(min_seconds=0.1, min_tile_seconds=0.02)
+    worker_count: int
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
         self.worker_count = worker_count

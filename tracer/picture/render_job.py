@@ -1,0 +1,235 @@
+"""A picture that a user asks for: checked, and prepared so that any tile can be rendered.
+
+The pixels of a tile (see `tracer.picture.tiles`) depend only on the scene, the samples and the
+offset, so the picture is the same to the last bit, whichever thread or process renders the tile.
+
+Threads that render at once share a scene, a `RenderJob` and its `PreparedScene`.  These objects do
+not change after they are built, except that they store values that are computed on demand, which
+are the same in whichever thread they are computed.  If two threads render the same tile of a
+picture, they write the same bits.
+"""
+
+from __future__ import annotations
+
+import operator
+import pickle
+from collections.abc import Callable, Generator
+from contextlib import closing
+from functools import cached_property, lru_cache, partial
+from math import isqrt
+from typing import Annotated as Shaped
+from typing import Any, SupportsFloat, SupportsIndex, TypeAlias, TypeVar
+
+import numpy as np
+
+from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
+from tracer.antialias.refine import average_pixels, is_supersampling_cheaper
+from tracer.arrays import Floats
+from tracer.picture.formats import EncodedTile, TileEncoder
+from tracer.picture.lint import Exposure
+from tracer.picture.memory import keep_freed_memory
+from tracer.picture.parallel import Distribution, Sharing, Threads
+from tracer.picture.tiles import Rectangle, estimate_cost
+from tracer.scene.model import Scene
+from tracer.trace.radiance import compute_radiance
+from tracer.world.prepared_scene import PreparedScene
+
+_Result = TypeVar("_Result")
+
+# Infinities and NaN are valid results in NumPy operations of the tracer: for example, the distance
+# at which a ray parallel to a plane meets the plane.
+_IGNORE_FLOAT_ERRORS = np.errstate(all="ignore")
+
+# Maximum number of samples per pixel.
+_MAX_SAMPLES = 999_999_999
+
+# Maximum number of unpickled jobs that a process caches: several pictures may be rendered at the
+# same time on one executor.
+_MAX_CACHED_JOBS = 4
+
+Crop: TypeAlias = tuple[SupportsIndex, SupportsIndex, SupportsIndex, SupportsIndex]
+"""A part of a picture: the column and the row of its top left pixel, its width and its height."""
+
+
+class RenderJob:
+    """A picture or a part of it, to be rendered, which can be divided into tiles.
+
+    The arguments and the errors that wrong ones raise are those of `tracer.render`.
+
+    A pickled job contains only its arguments.  The process that unpickles it prepares the scene
+    again, which may take longer than rendering a tile, so it caches jobs (`_MAX_CACHED_JOBS`).
+    """
+
+    scene: Scene
+    prepared_scene: PreparedScene
+    rectangle: Rectangle  # rows and columns of the picture that are rendered
+    width: int  # of the rectangle, in pixels
+    height: int
+    is_whole: bool  # whether the rectangle is the whole picture
+    seconds: float  # rough estimate of the time that one thread needs for the rectangle
+
+    @_IGNORE_FLOAT_ERRORS
+    def __init__(
+        self,
+        scene: Scene,
+        samples: SupportsIndex = 1,
+        offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
+        crop: Crop | None = None,
+    ) -> None:
+        self.scene = scene
+        self._arguments = scene, samples, offset, crop
+        whole_picture = slice(0, scene.height), slice(0, scene.width)
+        self.rectangle = whole_picture if crop is None else _to_rectangle(crop, scene)
+        self.height, self.width = (each.stop - each.start for each in self.rectangle)
+        self.is_whole = self.rectangle == whole_picture
+        self._samples_per_side = _compute_samples_per_side(samples)
+        self.prepared_scene = PreparedScene(scene, _to_shift(offset))
+        self._lattice = _choose_lattice(self.prepared_scene, self._samples_per_side)
+        self._cost = estimate_cost(self.prepared_scene, self._samples_per_side, self._lattice)
+        self.seconds = self._cost.estimate_seconds(self.rectangle)
+
+    def divide(self, sharing: Sharing | None) -> list[Rectangle]:
+        """Divide the rectangle into tiles: see `Cost.divide`."""
+        return self._cost.divide(self.rectangle, sharing)
+
+    def process_tiles(
+        self, process_tile: Callable[[Rectangle], _Result], max_threads: int
+    ) -> Generator[_Result]:
+        """Call a function for each tile, and yield the results in order.
+
+        A picture that is too small to be worth sharing is rendered in one thread.
+        """
+        is_shared = max_threads > 1 and self.seconds >= Threads.sharing.min_seconds
+        with closing(Threads(max_threads - 1 if is_shared else 0)) as pool:
+            distribution = Distribution(
+                function=process_tile,
+                remote_function=process_tile,
+                worker_count=pool.worker_count,
+                executor=pool,
+            )
+            yield from distribution.process(self.divide(Threads.sharing if is_shared else None))
+
+    def render_tiles(self, encode: TileEncoder, max_threads: int) -> Generator[EncodedTile]:
+        """Render and encode all tiles, and yield them in order."""
+        return self.process_tiles(partial(self.encode_tile, encode), max_threads)
+
+    def encode_tile(self, encode: TileEncoder, tile: Rectangle) -> EncodedTile:
+        """Render a tile, and encode it for a file."""
+        radiance = self.render_tile(tile)
+        is_leftmost = tile[1].start == self.rectangle[1].start
+        return EncodedTile(
+            data=encode(radiance, is_leftmost=is_leftmost),
+            exposure=Exposure.from_radiance(radiance),
+        )
+
+    def find_place(self, tile: Rectangle) -> Rectangle:
+        """Find the rows and columns of a tile in an array of the rectangle's pixels."""
+        rows, columns = map(_to_inner_range, tile, self.rectangle)
+        return rows, columns
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickle_job, (self._pickled_arguments,)
+
+    @cached_property
+    def _pickled_arguments(self) -> bytes:
+        return pickle.dumps(self._arguments)
+
+    @_IGNORE_FLOAT_ERRORS
+    def render_tile(
+        self, tile: Rectangle, out: Shaped[Floats, "rows columns 3"] | None = None
+    ) -> Shaped[Floats, "rows columns 3"]:
+        """Render a tile and return its linear RGB radiance.
+
+        If `out` is given, the radiance is stored in it.  It must contain only zeros, because some
+        black pixels are never written.
+        """
+        keep_freed_memory()
+        rows, columns = tile
+        column_count = columns.stop - columns.start
+        if out is None:
+            out = np.zeros((rows.stop - rows.start, column_count, 3))
+        # No object is visible in other pixels, so they stay black.
+        visible_pixels = self.prepared_scene.visible_pixels
+        visible_rows, visible_columns = map(_intersect_ranges, tile, visible_pixels)
+        if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
+            return out
+        visible_out = out[_to_inner_range(visible_rows, rows)]
+        if self._lattice is None:
+            visible_out[:, _to_inner_range(visible_columns, columns)] = average_pixels(
+                self.prepared_scene, visible_rows, visible_columns, self._samples_per_side
+            )
+            return out
+        samples = self._lattice.place_in_pixels(visible_rows, columns)
+        if self._lattice.size > 1:
+            sample_radiance = compute_radiance(self.prepared_scene, samples)
+            visible_out[:] = self._lattice.average(sample_radiance, column_count)
+        else:
+            # The reshaped array is a view, because a tile is whole rows or a piece of one row.
+            compute_radiance(self.prepared_scene, samples, out=visible_out.reshape(-1, 3).T)
+        return out
+
+
+@lru_cache(_MAX_CACHED_JOBS)
+def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
+    return RenderJob(*pickle.loads(pickled_arguments))
+
+
+def _choose_lattice(scene: PreparedScene, samples_per_side: int) -> Lattice | None:
+    """Choose the samples of all pixels; return None if the picture is adaptive."""
+    if samples_per_side == 1:
+        return PIXEL_CENTERS
+    if is_supersampling_cheaper(scene, samples_per_side):
+        return Lattice.choose(samples_per_side)
+    return None
+
+
+def _compute_samples_per_side(samples: SupportsIndex) -> int:
+    """Compute the smallest n for which n x n is at least the requested number of samples.
+
+    Raise TypeError if it is not an integer, and ValueError if it is out of range.
+    """
+    try:
+        sample_count = int(operator.index(samples))  # unlike NumPy integers, ints never overflow
+    except TypeError:
+        raise TypeError(f"samples must be an int, not {samples!r}") from None
+    if sample_count < 1:
+        raise ValueError(f"samples must be at least 1, not {sample_count}")
+    if sample_count > _MAX_SAMPLES:
+        raise ValueError(f"samples must be at most {_MAX_SAMPLES}")
+    return isqrt(sample_count - 1) + 1
+
+
+def _to_rectangle(crop: Crop, scene: Scene) -> Rectangle:
+    """Convert a crop to rows and columns; raise TypeError or ValueError if it is not one."""
+    try:
+        left, top, width, height = map(operator.index, crop)
+    except (TypeError, ValueError):
+        raise TypeError(f"crop must be four ints: x, y, width, height, not {crop!r}") from None
+    if left < 0 or top < 0 or left + width > scene.width or top + height > scene.height:
+        extent = f"crop {left},{top},{width},{height} is not inside the picture"
+        raise ValueError(f"{extent} of {scene.width} x {scene.height} pixels")
+    if width < 1 or height < 1:
+        raise ValueError(f"crop must have a width and a height of at least 1, not {crop!r}")
+    return slice(top, top + height), slice(left, left + width)
+
+
+def _to_shift(offset: tuple[SupportsFloat, SupportsFloat]) -> tuple[float, float]:
+    """Convert an offset to floats; raise ValueError if it is not two finite numbers."""
+    shift = np.asarray(offset, dtype=np.float64)
+    if shift.shape != (2,) or not np.isfinite(shift).all():
+        raise ValueError(f"offset must be two finite numbers, not {offset!r}")
+    right, down = shift.tolist()
+    return right, down
+
+
+def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
+    """Return the overlap of two ranges; if they do not overlap, stop <= start."""
+    return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
+
+
+def _to_inner_range(picture_range: slice, outer_range: slice) -> slice:
+    """Convert a range of rows or columns of the picture to a range in the one that contains it.
+
+    For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
+    """
+    return slice(picture_range.start - outer_range.start, picture_range.stop - outer_range.start)
