@@ -21,6 +21,7 @@ from running import run, write_ball
 from tracer import Scene, render
 from tracer.picture import parallel, render_job, tiles
 from tracer.picture import render as render_module
+from tracer.picture.parallel import has_gil
 from tracer.picture.render_job import RenderJob
 
 # Number of random cases: some in the quick run, many in the slow run.
@@ -91,7 +92,9 @@ def test_without_an_executor_nothing_is_started(monkeypatch):
     started = []
     for kind in (threading.Thread, multiprocessing.process.BaseProcess):
         monkeypatch.setattr(kind, "start", lambda self: started.append(self))
-    render(sphere_scene())
+    render(sphere_scene(), threads=1)
+    if has_gil():
+        render(sphere_scene())
     assert started == []
 
 

@@ -134,12 +134,17 @@ BALL = scene_of(Sphere(), camera=Camera(view_point=(0, 0, 4)), size=(8, 8), ligh
 CUBE = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
 
 
-def test_a_warning_is_about_the_line_that_renders_the_scene():
+@pytest.mark.parametrize("name", ["render", "to_png"])
+def test_a_warning_is_about_the_line_that_renders_the_scene(name):
     """`tests/format/messages.txt` has all warnings."""
+    user_code = compile(f"\n\ntracer.{name}(scene)", "user.py", "exec")
+    scene = replace(BALL, lights=())
     with pytest.warns(SceneWarning) as caught:
-        render(replace(BALL, lights=()))
+        exec(user_code, {"__name__": "user", "tracer": tracer, "scene": scene})
     message = "the scene has no light: the picture is black; add <light>"
-    assert [(str(warning.message), warning.filename) for warning in caught] == [(message, __file__)]
+    assert [(str(each.message), each.filename, each.lineno) for each in caught] == [
+        (message, "user.py", 3)
+    ]
 
 
 def test_exposure_of_a_large_picture_is_estimated():
@@ -169,18 +174,18 @@ def test_a_notebook_shows_an_explanation_as_text():
 
 
 def show_in_notebook(scene: Scene) -> tuple[bytes, list[tuple[str, str]]]:
-    """Show a scene as a notebook does; return the picture, and each warning with its file."""
+    """Show a scene as a notebook does; return the picture, and each warning with its place."""
     pictures: list[bytes] = []
 
     def display(value: Any) -> None:
         pictures.append(value._repr_png_())
 
-    cell = compile("scene", "<cell>", "single")
+    cell = compile("\nscene", "<cell>", "single")
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(record=True) as caught:
         patch.setattr("sys.displayhook", display)
         warnings.simplefilter("always")
         exec(cell, {"__name__": "__main__", "scene": scene})
-    return pictures[0], [(str(warning.message), warning.filename) for warning in caught]
+    return pictures[0], [(str(each.message), f"{each.filename}:{each.lineno}") for each in caught]
 
 
 def test_a_notebook_shows_a_scene_as_its_picture():
@@ -194,7 +199,7 @@ def test_a_notebook_shows_a_scene_as_its_picture():
 def test_a_warning_in_a_notebook_is_about_the_line_that_shows_the_scene():
     _, messages = show_in_notebook(replace(BALL, lights=()))
     assert messages == [
-        ("the scene has no light: the picture is black; add <light>", "<cell>"),
+        ("the scene has no light: the picture is black; add <light>", "<cell>:2"),
     ]
 
 
@@ -214,7 +219,7 @@ def test_a_picture_in_a_notebook_is_no_larger_than_a_browser_shows(monkeypatch, 
         assert messages == []
     else:
         text = f"{reduced}; tracer.write_png writes all of them"
-        assert messages[-1] == (text, "<cell>")
+        assert messages[-1] == (text, "<cell>:2")
 
 
 def test_a_large_picture_in_a_notebook_takes_little_memory():

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,41 @@ from tracer import write_png
 
 # Runs the tracer as on systems whose new files have a name from the beginning.
 NAMED_FILES = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
+# Runs the tracer as free-threaded Python does: its workers are threads.
+THREADS = """
+import os
+del os.O_TMPFILE
+from tracer.picture import parallel
+parallel.has_gil = lambda: False
+from tracer.__main__ import main
+main()
+"""
+# Renders a scene in threads, and presses Ctrl-C when the tenth tile begins.  It prints how many
+# tiles begin after that, and how many threads are left in the end.
+INTERRUPTED_RENDER = """
+import os, signal, sys, threading
+import tracer
+from tracer.picture import parallel
+from tracer.picture.render_job import RenderJob
+
+parallel.has_gil = lambda: False
+scene = tracer.load_scene(sys.argv[1])
+lock, tiles, render_tile = threading.Lock(), [], RenderJob.render_tile
+
+def press_or_render(*arguments, **options):
+    with lock:
+        tiles.append(arguments)
+        is_tenth = len(tiles) == 10
+    if is_tenth:
+        os.kill(os.getpid(), signal.SIGINT)
+    return render_tile(*arguments, **options)
+
+RenderJob.render_tile = press_or_render
+try:
+    tracer.render(scene, threads=int(sys.argv[2]))
+except KeyboardInterrupt:
+    print(len(tiles) - 10, threading.active_count())
+"""
 # Runs the tracer as on systems whose workers are spawned.
 SPAWNED = """
 import sys, types
@@ -59,6 +95,9 @@ COMMANDS = {
     f"named_files large.xml {' '.join(MANY)} --processes 2": [
         f"{name}.png" for name in ("large.xml", *MANY)
     ],
+    f"threads large.xml {' '.join(MANY)} --processes 2": [
+        f"{name}.png" for name in ("large.xml", *MANY)
+    ],
     "converters.to_mitsuba ball.xml": ["ball.mitsuba.xml"],
     "reference.check ball.xml -o out.png": ["out.png"],
     "reference.certify ball.xml -o certified.png": ["certified.png"],
@@ -66,12 +105,28 @@ COMMANDS = {
     "reference.report ball.xml -o page.html": ["page.html"],
 }
 
+# Packages that commands need, and that have no wheel for every Python.
+PACKAGES = {
+    "reference.check": "mitsuba",
+    "reference.compare": "jinja2",
+    "reference.report": "jinja2",
+    "hanging_llvm": "mitsuba",
+}
+
+
+def skip_without_package(command: str) -> None:
+    """Skip the current test if a package is missing that a command needs."""
+    package = PACKAGES.get(command.split()[0])
+    if package and find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Create a folder with all files that `COMMANDS` read."""
     (tmp_path / "named_files.py").write_text(NAMED_FILES)
     (tmp_path / "spawned.py").write_text(SPAWNED)
+    (tmp_path / "threads.py").write_text(THREADS)
     for name in MANY:
         write_ball(tmp_path / name, 400, 400)
     write_ball(tmp_path / "ball.xml", 60, 40)
@@ -148,6 +203,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
 )
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[0])
 def test_at_any_moment(command, moments, folder):
+    skip_without_package(command)
     begin = time.monotonic()
     start(command, folder).communicate(timeout=60)
     duration = time.monotonic() - begin
@@ -177,6 +233,17 @@ def test_signals_that_the_caller_ignores(folder, ignored):
     assert all((folder / f"{name}.png").exists() for name in ("ball.xml", *MANY))
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_ctrl_c_ends_a_render_within_the_time_of_a_tile(threads, folder):
+    """The two workers finish at most the two tiles each that they have been given."""
+    script = ("-c", INTERRUPTED_RENDER)
+    status, out, err = run(folder / "large.xml", threads, python=script)
+    assert (status, err) == (0, "")
+    later_tile_count, thread_count = map(int, out.split())
+    assert later_tile_count <= (0 if threads == 1 else 5)
+    assert thread_count == 1
+
+
 def test_spawned_workers_end_without_a_warning(folder):
     """Python's resource tracker removes their semaphores, and must not warn of them."""
     with start(f"spawned large.xml {' '.join(MANY)} --processes 2", folder) as process:
@@ -190,6 +257,7 @@ def test_spawned_workers_end_without_a_warning(folder):
     ("send", "signal_number"), [(os.killpg, signal.SIGINT), (os.kill, signal.SIGKILL)]
 )
 def test_the_child_that_tests_libllvm_ends_with_its_parent(send, signal_number, folder):
+    skip_without_package("hanging_llvm")
     (folder / "hanging_llvm.py").write_text(HANGING_LLVM)
     environment = {"INTERRUPTED_BY": str(os.getpid())}
     with start_process(
@@ -248,6 +316,7 @@ def test_watching_ends_when_nobody_reads(folder):
     ids=["a closed stream", "/dev/full"],
 )
 def test_results_that_cannot_be_printed(command, status, prepare, folder):
+    skip_without_package(command)
     ended, _, err = run(python=["-m", *command.split()], cwd=folder, preexec_fn=prepare)
     assert (ended, err.count("\n")) == (status, 1)
     assert err.startswith("standard output: cannot be written: ")

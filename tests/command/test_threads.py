@@ -18,6 +18,7 @@ from tracer import Scene, load_scene, render, to_png
 from tracer.command import batch, cli
 from tracer.picture import parallel, tiles
 from tracer.picture.render_job import RenderJob
+from tracer.world.prepared_scene import Lights, PreparedScene
 
 SCENES = ROOT / "scenes"
 
@@ -96,6 +97,48 @@ def test_many_threads_use_the_same_prepared_scene_at_once(samples):
                 job = RenderJob(scene, samples)
                 for k, radiance in enumerate(pool.map(job.render_tile, rectangles * 8)):
                     assert np.array_equal(radiance, alone[rectangles[k % len(rectangles)]])
+
+
+class AnnouncingLock:
+    """A lock that sets an event when a thread has to wait for it."""
+
+    def __init__(self, event: threading.Event) -> None:
+        self.event = event
+        self.lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        if not self.lock.acquire(blocking=False):
+            self.event.set()
+            self.lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self.lock.release()
+
+
+def test_a_thread_waits_for_lights_that_another_one_prepares(monkeypatch):
+    """The second thread needs them while the first prepares them, and does not do it again."""
+    scene = PreparedScene(make_shared_scenes()[0])
+    has_second_come = threading.Event()
+    results = list[list[Lights]]()
+    prepare_lights = PreparedScene.prepare_lights
+    calls = list[slice]()
+
+    def wait_for_second(self: PreparedScene, light_slice: slice) -> Lights:
+        calls.append(light_slice)
+        if len(calls) == 1:
+            second.start()
+        else:
+            has_second_come.set()
+        assert has_second_come.wait(60)
+        return prepare_lights(self, light_slice)
+
+    second = threading.Thread(target=lambda: results.append([*scene.iterate_light_batches()]))
+    monkeypatch.setattr(PreparedScene, "prepare_lights", wait_for_second)
+    monkeypatch.setattr(scene, "_lock", AnnouncingLock(has_second_come))
+    results.append([*scene.iterate_light_batches()])
+    second.join()
+    assert len(calls) == 1
+    assert results[0][0] is results[1][0]
 
 
 def test_pictures_in_other_threads_and_processes_use_one_thread_each(workers):
