@@ -120,28 +120,28 @@ def _share_with_executor(
     The executor gets no tile of a picture that is too small to be worth sharing.
     """
 
-    def fits_tile(rectangle: Rectangle, result: object) -> bool:
-        shape = image[job.find_place(rectangle)].shape
+    def fits_tile(tile: Rectangle, result: object) -> bool:
+        shape = image[job.find_place(tile)].shape
         return isinstance(result, np.ndarray) and result.shape == shape
 
     sharing = WorkerPool.sharing if job.seconds >= WorkerPool.sharing.min_seconds else None
     distribution = Distribution[Rectangle, Any](
         function=partial(_render_into_image, image, job),
         remote_function=job.render_tile,
-        worker_count=count_processors() if sharing else 0,
-        executor=executor,
+        worker_count=count_processors(),
+        executor=executor if sharing else None,
         is_valid=fits_tile,
     )
     tiles = job.divide(sharing)
-    for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
+    for tile, radiance in zip(tiles, distribution.process(tiles), strict=True):
         if radiance is not None:  # from the executor
-            image[job.find_place(rectangle)] = radiance
+            image[job.find_place(tile)] = radiance
 
 
 def _render_into_image(
-    image: Shaped[Floats, "height width 3"], job: RenderJob, rectangle: Rectangle
+    image: Shaped[Floats, "height width 3"], job: RenderJob, tile: Rectangle
 ) -> None:
-    job.render_tile(rectangle, out=image[job.find_place(rectangle)])
+    job.render_tile(tile, out=image[job.find_place(tile)])
 
 
 def to_png(
