@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated as Shaped
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,35 +93,51 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     ValueError
         If positions are not finite, or `x` and `y` have different shapes.
     """
+    position_x, position_y = _choose_positions(scene, x, y)
+    shape = position_x.shape
+    hits = _find_first_hits(PreparedScene(scene), position_x.ravel(), position_y.ravel())
+    return FirstHits(
+        surface=hits.surface.reshape(shape),
+        distance=hits.distance.reshape(shape),
+        normal=hits.normal.reshape(*shape, 3),
+        point=hits.point.reshape(*shape, 3),
+    )
+
+
+def _choose_positions(
+    scene: Scene, x: ArrayLike | None, y: ArrayLike | None
+) -> tuple[Shaped[Floats, "..."], Shaped[Floats, "..."]]:
+    """Return `x` and `y` as arrays of one shape, or the centres of all pixels if both are None.
+
+    Raises the errors of `first_hits`.
+    """
     if (x is None) != (y is None):
         raise TypeError("x and y must both be given, or neither")
     if x is None or y is None:
         y, x = np.indices((scene.height, scene.width)) + 0.5
     position_x = np.asarray(x, dtype=np.float64)
     position_y = np.asarray(y, dtype=np.float64)
-    shape = position_x.shape
-    if shape != position_y.shape:
-        raise ValueError(f"x and y must have the same shape, not {shape} and {position_y.shape}")
-    position_x, position_y = position_x.ravel(), position_y.ravel()
+    if position_x.shape != position_y.shape:
+        shapes = f"{position_x.shape} and {position_y.shape}"
+        raise ValueError(f"x and y must have the same shape, not {shapes}")
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
-    prepared_scene = PreparedScene(scene)
-    count = position_x.size
-    results = FirstHits(
-        surface=np.empty(count, dtype=np.intp),
-        distance=np.empty(count),
-        normal=np.empty((count, 3)),
-        point=np.empty((count, 3)),
+    return position_x, position_y
+
+
+def _find_first_hits(
+    scene: PreparedScene, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
+) -> FirstHits:
+    """Find the first hit of the ray through each position; trace the rays in batches."""
+    hits = FirstHits(
+        surface=np.empty(x.size, dtype=np.intp),
+        distance=np.empty(x.size),
+        normal=np.empty((x.size, 3)),
+        point=np.empty((x.size, 3)),
     )
-    batch_size = prepared_scene.choose_batch_size(_RAYS_PER_BATCH)
-    for batch in split_indices(np.arange(count), batch_size):
-        samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
-        batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
-        for name, result in vars(results).items():
-            result[batch[order]] = getattr(batch_hits, name)
-    return FirstHits(
-        surface=results.surface.reshape(shape),
-        distance=results.distance.reshape(shape),
-        normal=results.normal.reshape(*shape, 3),
-        point=results.point.reshape(*shape, 3),
-    )
+    for batch in split_indices(np.arange(x.size), scene.choose_batch_size(_RAYS_PER_BATCH)):
+        samples, order = Scattered.from_positions(x[batch], y[batch])
+        batch_hits = FirstHits.from_hits(find_nearest_hits(scene, samples))
+        for name, values in vars(hits).items():
+            values[batch[order]] = getattr(batch_hits, name)
+    return hits

@@ -8,7 +8,8 @@ The directions of a light are divided into eight octants, and each object into *
 octant that it lies in.  Each part has a rectangle of octahedral coordinates, and direction bounds
 (see `directions`).  In an octant, the *patch* is a rectangle that contains most of the objects that
 the camera may see.  A patch is divided into a square array of *cells*.  Directions outside of the
-patch are treated as those at its border.  A cell lists all parts whose rectangles overlap it.
+patch are treated as those at its border.  A cell lists all parts whose rectangles overlap it, in
+four lists (see `_LIST_OF_FLAGS`).
 
 For a query, the ball is divided into parts, too.  Each of them is compared with the parts that are
 listed in the cells that it overlaps.  Rectangles are loose bounds for long objects, so the
