@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,9 +98,13 @@ def _make_command_parser() -> CommandParser:
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=check_path, metavar="SCENE.xml", help="the scene file")
-    keywords: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
-    help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
-    add_argument("--error", help=help_text, **keywords)
+    add_argument(
+        "--error",
+        type=_parse_positive_fraction,
+        default=_DEFAULT_ERROR,
+        metavar="E",
+        help=f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})",
+    )
     help_text = "the picture to write (SCENE.xml.certified.png)"
     add_argument("-o", "--output", type=check_path, metavar="OUT.png", help=help_text)
     help_text = "count the 8-bit codes that are certainly wrong in this picture of the scene"
@@ -120,9 +124,9 @@ def _parse_positive_fraction(argument: str) -> Fraction:
 
 
 def _read_codes(path: str, scene: Scene) -> Shaped[Codes, "height width 3"]:
-    """Read the 8-bit codes of a picture.
+    """Read the 8-bit codes of a picture of a scene.
 
-    Raise Failure if the picture cannot be read, or if its size is not that of the scene.
+    Raise Failure if the file cannot be read, or if the picture's size is not the scene's.
     """
     codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
@@ -154,13 +158,16 @@ class Judgement(NamedTuple):
     """What a certificate proves about the codes of another picture."""
 
     wrong_count: int
-    verdict: str  # states this number, and describes the code that is farthest out of bounds
+    verdict: str  # states the number, and describes the code that is farthest out of bounds
 
 
 def count_wrong_codes(
     certificate: Certificate, codes: Shaped[Codes, "height width 3"]
 ) -> Judgement:
-    """Count the 8-bit codes of a picture that no radiance within the bounds can produce."""
+    """Count the 8-bit codes of a picture that no radiance within the certified bounds has.
+
+    The picture must have the size of the certified one.
+    """
     lowest_codes = to_codes(certificate.low).astype(int)
     highest_codes = to_codes(certificate.high).astype(int)
     deviation = np.maximum(np.maximum(lowest_codes - codes, codes - highest_codes), 0)

@@ -1,4 +1,4 @@
-"""Paths and command-line functions that the commands in this folder share."""
+"""Name the folders that the commands in this folder share, and parse their command lines."""
 
 from __future__ import annotations
 

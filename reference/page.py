@@ -149,7 +149,8 @@ def write_page(path: Path, html: str, remedy: str = OUTPUT_REMEDY, exit_status: 
 
 def encode_png(codes: Shaped[Codes, "h w 3"], *, as_thumbnail: bool = False) -> bytes:
     """Encode a picture, or a thumbnail of it, as the content of a PNG file."""
-    buffer, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
+    buffer = io.BytesIO()
+    image = Image.fromarray(np.ascontiguousarray(codes))
     if as_thumbnail:
         image.thumbnail((_MAX_THUMBNAIL_SIDE, _MAX_THUMBNAIL_SIDE))
     image.save(buffer, format="PNG")
@@ -157,5 +158,5 @@ def encode_png(codes: Shaped[Codes, "h w 3"], *, as_thumbnail: bool = False) -> 
 
 
 def _to_data_url(content: bytes, subtype: str = "png") -> str:
-    """Encode the content of a picture, of MIME type image/SUBTYPE, as a data URL."""
+    """Encode the content of a picture file of MIME type image/SUBTYPE as a data URL."""
     return f"data:image/{subtype};base64,{base64.b64encode(content).decode()}"

@@ -36,8 +36,8 @@ _PALETTE_NOTE = "has a palette, of 256 colours at most: save it as RGB."
 _DEPTH_NOTE = "has more than 8 bits per channel, of which 8 count: save it as 8-bit RGB."
 _ALPHA_NOTE = "is transparent in places, which counts as black: save it as RGB."
 
-# By how many levels formats alter most codes.  Pillow's WEBP of quality 90 and palettes altered the
-# worst 1 % of the pixels of room and four-spheres by more than 13 to 18 levels.
+# Numbers of levels by which formats alter most codes.  Pillow's WEBP of quality 90 and its palettes
+# altered the worst 1 % of the pixels of room and four-spheres by more than 13 to 18 levels.
 _WEBP_NOISE = 12
 _PALETTE_NOISE = 12
 _JPEG_NOISE = 3  # where `Picture.reencode` differs; it reproduced Pillow's JPEG exactly
@@ -84,7 +84,7 @@ def read_picture(path: Path) -> Picture:
 
 
 def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
-    """Decode a picture file that is open, and determine how its format altered the colours.
+    """Decode an image that was opened from a path, and determine how its format altered it.
 
     Raise OSError, SyntaxError or ValueError if the file is damaged, and ValueError if the pixels
     are not RGB, palette or grey.
@@ -124,7 +124,10 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
 
 
 def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Make `Picture.reencode` with the quantisation and the chroma subsampling of a JPEG."""
+    """Make a function that returns the codes of a picture after saving it like a given JPEG.
+
+    It uses the quantisation tables and the chroma subsampling of `image`.
+    """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
@@ -146,21 +149,21 @@ def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
 
 
 def to_columns(codes: Shaped[Codes, "h w 3"]) -> Shaped[Codes, "3 h*w"]:
-    """Convert a picture to an array with one column per pixel."""
+    """Convert the codes of a picture to an array with one column per pixel, row by row."""
     return np.ascontiguousarray(codes.reshape(-1, 3).T)
 
 
 def to_rows(columns: Shaped[Codes, "3 n"], width: int) -> Shaped[Codes, "h width 3"]:
-    """Convert an array with one column per pixel to the codes of a picture, row by row."""
+    """Convert the result of `to_columns` to the codes of a picture of the given width."""
     return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
 def compare_levels(
     first_codes: Shaped[Codes, "..."], second_codes: Shaped[Codes, "..."], axis: int = -2
 ) -> Shaped[Codes, "..."]:
-    """Compute, for each pixel of two pictures, the largest difference in any channel, in levels.
+    """Compute, for each pixel of two pictures, the largest difference of any channel.
 
-    `axis` is that of the channels: -2 for arrays (..., 3, n), 2 for arrays (h, w, 3).
+    The channels are along `axis`: -2 in arrays (..., 3, n), and 2 in arrays (h, w, 3).
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)

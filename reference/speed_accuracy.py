@@ -2,10 +2,12 @@
 
 ``python -m reference.speed_accuracy`` writes `speed_accuracy.svg`, and `speed_accuracy.csv` with
 its table, into this folder.  The error is the root mean square error of the linear radiance,
-compared with a certified picture (`reference.judges.certificate`).  From point to point, the number
-of samples per pixel is multiplied by 4, and the permitted error of the certified tracer is divided
-by 4.  All methods are timed alternately.  The curve of a method ends when its next picture would
-take too long, or when its error comes close to that of the certified picture.
+compared with a certified picture (`reference.judges.certificate`).
+
+Each point of a curve belongs to a *level*, from 0.  At a level, a picture has 4^level samples per
+pixel, and the permitted error of the certified tracer is proportional to 1 / 4^level.  All methods
+are timed alternately.  The curve of a method ends when its next picture would take too long, or
+when its error comes close to that of the certified picture.
 """
 
 from __future__ import annotations
@@ -58,10 +60,10 @@ _LABELS = {
 }
 
 
-# Options of POV-Ray's adaptive antialiasing at each level: a pixel is divided where neighbouring
-# samples differ by more than the threshold A, at most R times.  The first schedule is the faster
-# one on most scenes.  On four-spheres, its error stays at 8.5e-4 to 9.4e-4 with all A from 0.03 to
-# 0.003, and only the second schedule goes below.  The chart shows the better of both.
+# Two series of options of POV-Ray's adaptive antialiasing, by level.  A pixel is divided, at most R
+# times, where neighbouring samples differ by more than the threshold A.  The first series is faster
+# on most scenes, but on four-spheres, its error does not fall below 8.5e-4.  The chart shows the
+# better of both.
 _POVRAY_SCHEDULES = (
     {
         0: "+A0.3 +R2",
@@ -77,10 +79,8 @@ _POVRAY_SCHEDULES = (
 # Name of the picture that POV-Ray writes into the build folder.
 _POVRAY_PICTURE = "povray.ppm"
 
-# Number of levels: 1, 4, 16, ... samples per pixel.
+# Number of levels, and their number with the option --quick.
 _LEVEL_COUNT = 6
-
-# Number of levels with the option --quick.
 _QUICK_LEVEL_COUNT = 3
 
 # Permitted error of the certified picture with which all others are compared.
@@ -115,7 +115,7 @@ _FOOTER_HEIGHT = 0.7
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
-# A method, and a number that tells apart the series of pictures that the method renders.
+# A method, and a number from 0 for each series of pictures that the method renders.
 _Series: TypeAlias = tuple[str, int]
 
 
@@ -123,7 +123,7 @@ class _RenderingTask(NamedTuple):
     """A function to be timed, and the samples of its picture."""
 
     samples: str  # see `_COLUMNS`
-    # Return an image; for POV-Ray, the time that it reports, which does not include its start.
+    # Returns an image; for POV-Ray, the time that it reports, which does not include its start.
     render: Callable[[], Any]
 
 
@@ -149,31 +149,26 @@ def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Shaped[Floats
 def _make_rendering_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingTask]:
     """Make the tasks of one level, for all methods except POV-Ray."""
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
-    mitsuba_xml = convert(scene, "exact", 4**level).replace('"stratified"', '"multijitter"')
-    loaded_scene = mi.load_string(mitsuba_xml)
     samples = 4**level
-    # Sample counts between the powers of four: 9, 36, 144, ...
-    more_samples = 9 * samples
+    more_samples = 9 * samples  # between the powers of four: 9, 36, 144, ...
     reciprocal_error = 8 * samples
-    functions: dict[_Series, tuple[int, Callable[[], Any]]] = {
-        (_TRACER, 0): (samples, partial(render, scene, samples)),
-        (_TRACER, 1): (more_samples, partial(render, scene, more_samples)),
-        (_CERTIFIED_TRACER, 0): (
-            reciprocal_error,
-            lambda: certify(scene, 1 / reciprocal_error).image,
-        ),
-        (_GRID, 0): (samples, partial(render_supersampled, scene, 2**level)),
-        (_ALL_PAIRS, 0): (samples, partial(_render_by_brute_force, scene, 2**level)),
-        (_MITSUBA, 0): (samples, lambda: np.array(mi.render(loaded_scene))),
-    }
+    mitsuba_xml = convert(scene, "exact", samples).replace('"stratified"', '"multijitter"')
+    loaded_scene = mi.load_string(mitsuba_xml)
+    render_by_brute_force = partial(_render_by_brute_force, scene, 2**level)
     return {
-        series: _RenderingTask(samples=str(count), render=function)
-        for series, (count, function) in functions.items()
+        (_TRACER, 0): _RenderingTask(str(samples), partial(render, scene, samples)),
+        (_TRACER, 1): _RenderingTask(str(more_samples), partial(render, scene, more_samples)),
+        (_CERTIFIED_TRACER, 0): _RenderingTask(
+            str(reciprocal_error), lambda: certify(scene, 1 / reciprocal_error).image
+        ),
+        (_GRID, 0): _RenderingTask(str(samples), partial(render_supersampled, scene, 2**level)),
+        (_ALL_PAIRS, 0): _RenderingTask(str(samples), render_by_brute_force),
+        (_MITSUBA, 0): _RenderingTask(str(samples), lambda: np.array(mi.render(loaded_scene))),
     }
 
 
 def _make_povray_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingTask]:
-    """Make the tasks of one level for POV-Ray, a series for each schedule."""
+    """Make the tasks of one level for POV-Ray; none if it is not installed."""
     tasks: dict[_Series, _RenderingTask] = {}
     for index, schedule in enumerate(_POVRAY_SCHEDULES if povray.is_installed() else ()):
         if level in schedule:
@@ -193,7 +188,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # Errors smaller than the error of a coarser reference are too uncertain to be shown.
+    # Errors smaller than the error of a less accurate reference are too uncertain to be shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = compute_rms_error(less_accurate_image, reference_image)
     finished_series: set[_Series] = set()
@@ -246,7 +241,7 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
 
 
 def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
-    """Draw the curve of each method from rows of method, samples, error and times."""
+    """Draw the curve of each method in one scene; for the rows see `_find_curve`."""
     for method, label in _LABELS.items():
         curve = _find_curve(rows, method)
         axes.loglog(
@@ -265,10 +260,11 @@ def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
 
 
 def _find_curve(rows: Sequence[Sequence[str]], method: str) -> list[_Point]:
-    """Find the points of a method's curve, from few samples to many.
+    """Find the points of a method's curve, in the order in which they are connected.
 
-    If points have the same error, only the one with the most samples is kept.  Of POV-Ray's points,
-    only those are kept for which no other setting is both faster and more accurate.
+    `rows` contain a method, samples, an error and times each.  If points have the same error, only
+    the one with the most samples is kept.  Of POV-Ray's points, only those are kept for which no
+    other setting is both faster and more accurate.
     """
     points = [
         _Point(samples=row[1], error=float(row[2]), seconds=float(row[3]))

@@ -1,4 +1,4 @@
-"""The style of all charts, and the command that takes measurements and draws their chart."""
+"""Set the style of all charts, and run the commands that measure a table and draw its chart."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def run_chart_command(
     measure
         Yields the rows of the table.  Its argument is True to measure fewer points.
     draw
-        Draws the chart from the rows of the CSV file, and returns it as a Figure.
-    note
-        Lines of text below the title.
+        Draws the chart from the rows of the CSV file, and returns it as a Figure of Matplotlib.
+    title, note
+        Text above the chart: one line, and smaller lines below it.
     """
     command_parser = make_parser(f"reference.{name}", quick_help="fewer points")
     redraw_help = "draw the stored table again, without measuring"

@@ -1,4 +1,7 @@
-"""Time tasks alternately, and store tables of results as CSV files with their origin."""
+"""Time tasks alternately, and store tables of results as CSV files.
+
+The *origin* of a table says in one line when, where and with which software it was measured.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +32,15 @@ _Name = TypeVar("_Name", bound=Hashable)
 # spinning for about 10 ms.
 _PAUSE_SECONDS = 0.02
 
-# Short times vary most, so short tasks run in more rounds, until a task has taken this many seconds
-# in total.
+# Minimum time of all runs of a task together in seconds.  Short times vary most, so short tasks run
+# more often.
 _MIN_TOTAL_SECONDS = 0.5
 
 # Maximum number of rounds, as a multiple of the requested number.
 _MAX_ROUNDS_FACTOR = 5
 
-# A task that takes less than this many seconds also runs untimed before each of its rounds, because
-# the previous task has filled the caches: after POV-Ray, a picture of 5 ms took 8 to 18 ms.
+# Maximum time, in seconds, of a task that also runs untimed before each timed run, because the
+# previous task has filled the caches.  After POV-Ray, a picture of 5 ms took 8 to 18 ms.
 _MAX_WARM_UP_SECONDS = 0.1
 
 
@@ -54,7 +57,7 @@ class Timing(NamedTuple):
         return median_ms if self.low == self.high else f"{median_ms} ({low}–{high})"
 
     def divided_by(self, item_count: int) -> Timing:
-        """Divide the times by the number of items processed."""
+        """Divide all three times by the number of items that the task processed."""
         return Timing(*(seconds / item_count for seconds in self))
 
 
@@ -65,8 +68,8 @@ def time_alternately(
 
     Each of the first `min_rounds` rounds runs every task once.  Further rounds run only tasks whose
     times add up to less than `min_seconds`.  There are at most `_MAX_ROUNDS_FACTOR` * `min_rounds`
-    rounds.  Before the first round, every task runs once untimed; short tasks also run untimed
-    before each of their rounds (see `_MAX_WARM_UP_SECONDS`).
+    rounds.  Before the first round, every task runs once untimed.  Short tasks also run untimed
+    before each timed run (see `_MAX_WARM_UP_SECONDS`).  The result has the keys of `tasks`.
     """
     warm_up_seconds = {}
     for name, task in tasks.items():
@@ -103,8 +106,7 @@ def write_csv(
 ) -> None:
     """Write a table as a CSV file whose first line is a comment on the table's origin.
 
-    Floats are rounded to six digits.  The origin says when and where the table was measured: see
-    `describe_origin`.
+    Floats are rounded to six digits.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         file.write(f"# {origin}\n")
@@ -115,14 +117,14 @@ def write_csv(
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read the origin and the rows, without the titles, of a file from `write_csv`."""
+    """Read a file that `write_csv` wrote: the origin, and the rows without the titles."""
     with path.open(newline="", encoding="utf-8") as file:
         origin = file.readline().removeprefix("# ").rstrip("\n")
         return origin, list(csv.reader(file))[1:]
 
 
 def describe_origin() -> str:
-    """Describe in one line when, where and with which software a measurement is made.
+    """Describe the origin of measurements that are made now.
 
     The line gives the date, the commit, the processor, the system, and the versions of programs.
     """
