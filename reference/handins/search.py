@@ -140,13 +140,8 @@ class Submission:
         self.tolerance = format_noise or int(self.clearly_wrong_count > 2)
         self.is_wrong = differences > self.tolerance
         self.wrong_count = int(self.is_wrong.sum())
-        pixel_count = renderer.pixel_count
-        order = shuffle_range(pixel_count)
-        red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
-        counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
-        foreground_count = pixel_count * (1 - counts.max() / len(red))
-        max_unexplained = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
-        self._max_unexplained = max(_MAX_UNEXPLAINED, max_unexplained)
+        order = shuffle_range(renderer.pixel_count)
+        self._max_unexplained = self._limit_unexplained(codes[:, order[:MAX_PIXELS]])
         is_wrong = self.is_wrong[order]
         # Indices of wrong pixels, then of right ones, both in random order.
         self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
@@ -158,6 +153,17 @@ class Submission:
         self._counts_by_cause = dict[Cause, list[int]]()
         fitting_pixels = np.append(renderer.sample_index, reference_codes.sum(0, np.int16).argmax())
         self.fitting_cache = renderer.make_cache(fitting_pixels, codes)
+
+    def _limit_unexplained(self, random_codes: Shaped[Codes, "3 k"]) -> int:
+        """Compute how many pixels a cause may leave unexplained, from random pixels' codes.
+
+        Where most of a picture has one colour, the limit is a share of the other pixels.
+        """
+        red, green, blue = random_codes.astype(np.uint32)
+        color_counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
+        foreground_share = 1 - color_counts.max() / len(red)
+        considered_count = min(self.wrong_count, self.renderer.pixel_count * foreground_share)
+        return max(_MAX_UNEXPLAINED, int(_MAX_UNEXPLAINED_SHARE * considered_count))
 
     def _choose_pixels(self, count: int) -> _Selection:
         """Choose random pixels: half of them wrong, half of them right, if there are enough.
@@ -389,8 +395,9 @@ class Submission:
         ]
         if not causes:
             return []
-        unexplained_limit = _LARGE_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < unexplained_limit]
+        min_unexplained = min(map(self._count_unexplained, causes))
+        max_unexplained = max(_MAX_UNEXPLAINED, _LARGE_RATIO * min_unexplained)
+        causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         max_inexact = _LARGE_RATIO * max(min(map(self._count_inexact, causes)), _FEW_PIXELS)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting

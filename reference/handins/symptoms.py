@@ -1,4 +1,4 @@
-"""Recognise differences that no formula causes: rounding, speckles, JPEG, borders, missing lights.
+"""Recognise what no formula causes: rounding, dark dots, parts not rendered, JPEG, borders.
 
 A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
 Pictures consist of 8-bit codes.  A pixel of a submission is *wrong* if it differs from the
@@ -372,7 +372,10 @@ def find_wrong_edge(is_wrong: Shaped[Bools, "h w"]) -> str:
 
 
 def find_symptom(submission: Submission) -> tuple[str, str] | None:
-    """Recognise rounding, shadow acne, JPEG compression or one wrong edge in a picture."""
+    """Recognise what is wrong with a picture as a whole; None if nothing is recognised.
+
+    Return the keyword and the sentence of the symptom.
+    """
     renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
     width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
     if wrong_count and is_explained_by_rounding(submission):

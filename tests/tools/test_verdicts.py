@@ -117,6 +117,19 @@ def test_numbers_are_estimated(name: str, old: str, new: str, text: str) -> None
 
 FREQUENT = [
     (
+        "four-spheres",
+        "n = (p - CENTER) / RADIUS",
+        "n = (eye - CENTER) / RADIUS + 0 * p",
+        "normal-eye-sphere",
+    ),
+    (
+        "four-spheres",
+        "n = (p - CENTER) / RADIUS",
+        "n = norm(eye - CENTER) + 0 * p",
+        "normal-eye-sphere-unit",
+    ),
+    ("two-boxes", "else box_normal(s, p)", "else norm(p)", "normal-origin-box"),
+    (
         "two-boxes",
         "normals[distance.argmin(-1)]",
         "np.eye(3)[abs(p - (lo + hi) / 2).argmax(-1)]",
