@@ -42,35 +42,38 @@ class Progress:
         False if no bar is wanted.
     """
 
-    _bar: Any  # from tqdm; None if it may still be created, and False if there can be no bar
+    _bar: Any  # from tqdm; None if no bar has been created
+    _may_create_bar: bool
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
         self._total = total
         self._unit = unit
         self._start_time = perf_counter()
         is_closed = sys.stderr is None or sys.stderr.closed
-        self._bar = None if show and not is_closed and sys.stderr.isatty() else False
+        self._bar = None
+        self._may_create_bar = show and not is_closed and sys.stderr.isatty()
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar:
+        if self._bar is not None:
             self._bar.close()
 
     def update(self, finished_work: float, note: str = "") -> None:
         """Show how much of `total` has been done so far, and a note beside the bar."""
         seconds = perf_counter() - self._start_time
-        if self._bar is None and seconds >= _SECONDS_BEFORE_BAR:
+        if self._may_create_bar and seconds >= _SECONDS_BEFORE_BAR:
+            self._may_create_bar = False
             self._bar = self._create_bar(seconds)
-        if self._bar:
+        if self._bar is not None:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(round(finished_work, 2) - self._bar.n)
 
     def _create_bar(self, seconds: float) -> Any:
         """Create a tqdm progress bar for work that began some seconds ago.
 
-        Return False if tqdm is not installed, or its environment variables are invalid.
+        Return None if tqdm is not installed, or its environment variables are invalid.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
@@ -83,7 +86,7 @@ class Progress:
             # Count the elapsed time from the start of the work, and show the next update at once.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
-        return False
+        return None
 
 
 def _get_terminal_width() -> int:
