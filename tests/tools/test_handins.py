@@ -22,7 +22,7 @@ from reference.handins.formulas import collect_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, sort_causes
 from reference.handins.search import Submission
-from reference.handins.symptoms import is_explained_by_rounding
+from reference.handins.symptoms import is_explained_by_rounding, is_jpeg_of_reference
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
 from tracer import (
@@ -348,6 +348,13 @@ def test_mistakes_are_found_after_jpeg_compression(tmp_path: Path, made: str) ->
     right = Picture(reference("four-spheres").codes)
     Image.fromarray(right.codes).save(path, quality=85)
     assert Reference(read_picture(path)).diagnose(right).kind == "format"
+
+
+def test_jpeg_compression_does_not_explain_a_single_wrong_pixel() -> None:
+    gray = np.full((16, 16, 3), 128, np.uint8)  # JPEG compression does not change it
+    codes = gray.copy()
+    codes[5, 5] = 255
+    assert not is_jpeg_of_reference(codes, gray)
 
 
 def test_jpeg_compression_is_recognised_in_other_formats() -> None:
