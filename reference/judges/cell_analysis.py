@@ -149,9 +149,9 @@ class CellAnalysis:
     ) -> Shaped[Bools, "claims"]:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        A claim is undecided if it may be true in only a part of its cell.  Its functions that may
-        change sign in the cell are added to `edges`, unless the condition says that their zeros are
-        no edges.
+        A claim is a statement about a pair (see `Condition`).  It is undecided if it may be true in
+        only a part of its cell.  Then those of its functions that may change sign in the cell are
+        added to `edges`, unless the condition says that their zeros are no edges.
 
         Parameters
         ----------

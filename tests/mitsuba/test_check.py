@@ -23,6 +23,7 @@ from reference import check, report
 from reference.check import STOCK, CheckResult, Limits, check_diffuse_light, check_scene, compare
 from reference.command import SCENES
 from reference.figures import Metrics
+from reference.judges import exact
 from reference.regenerate import load_small_scene
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.command.failure import Failure
@@ -113,7 +114,7 @@ def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
     replace_tracer(monkeypatch, wrong)
     # Mitsuba is wrong, too, in other pixels.
     image[50:, 70:] += 0.01
-    monkeypatch.setattr(check, "_PIXELS_PER_BATCH", 5000)
+    monkeypatch.setattr(exact, "_PIXELS_PER_BATCH", 5000)
     result = compare_to(scene, image)
     assert (result.verdict, np.argwhere(result.is_wrong).tolist()) == ("DIFFERS", [[7, 3]])
     assert "row 7\n  exact arithmetic contradicts the tracer in 1 of 101" in result.format_report()
