@@ -206,7 +206,9 @@ def find_pixels_near_edges(
     return is_near_edge
 
 
-def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
+def check_file(
+    path: Path, variant: str | None = None, flavour: Literal["exact", "stock"] = "exact"
+) -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare the two pictures.
 
     Raise Failure if the scene cannot be read, converted or compared.
@@ -222,8 +224,8 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "compared"):
-        compare_scene = {"exact": check_scene, "stock": check_diffuse_light}[flavour]
-        return compare_scene(scene, make_printable(path.stem), variant)
+        check = check_scene if flavour == "exact" else check_diffuse_light
+        return check(scene, make_printable(path.stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
@@ -298,46 +300,61 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     pixels are traced in exact arithmetic, to decide which picture is wrong.  Raise ValueError if a
     radiance in either picture is not finite.
     """
-    mitsuba_image = rendering.image
-    if not np.isfinite(mitsuba_image).all():
+    if not np.isfinite(rendering.image).all():
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
     render(scene)  # the first rendering takes longer, so the second is timed
     start_time = perf_counter()
-    tracer_image = render(scene)
-    tracer_seconds = perf_counter() - start_time
+    image = render(scene)
+    pictures = _Pictures(
+        tracer_image=image, tracer_seconds=perf_counter() - start_time, mitsuba=rendering
+    )
+    result = _compare_pixels(scene, name, pictures, limits)
+    if not result.is_examined.any() and describe_exceeded_tolerances(result.metrics):
+        # The pictures differ too much as a whole, although no pixel does.
+        result = _compare_pixels(scene, name, pictures, limits._replace(difference=MAX_MEDIAN))
+    return result
+
+
+class _Pictures(NamedTuple):
+    """The two pictures of a scene: see `CheckResult`."""
+
+    tracer_image: Shaped[Floats, "height width 3"]
+    tracer_seconds: float
+    mitsuba: Rendering
+
+
+def _compare_pixels(scene: Scene, name: str, pictures: _Pictures, limits: Limits) -> CheckResult:
+    """Find the pixels that differ by more than `limits.difference`, and explain them."""
+    tracer_image = pictures.tracer_image
+    mitsuba_image = pictures.mitsuba.image
     # Tolerances are for radiance up to 1.  Above 1, they scale with the darker picture's maximum,
     # so that a bug that brightens one picture cannot increase them.
     scale = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
-    difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
-    # If the pictures differ too much as a whole, compare the pixels with a smaller tolerance.
-    for unscaled_tolerance in (limits.difference, MAX_MEDIAN):
-        is_different, tolerance = difference > unscaled_tolerance, unscaled_tolerance * scale
-        differs_at_edge = _find_differences_at_edges(
-            scene, mitsuba_image, is_different, limits.shift, tolerance
-        )
-        is_tie, is_examined, is_wrong = judge_differing_pixels(
-            scene, tracer_image, mitsuba_image, is_different & ~differs_at_edge, tolerance
-        )
-        is_excluded = differs_at_edge | is_tie
-        # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
-        compared_image = np.where(is_excluded[:, :, None], mitsuba_image, tracer_image)
-        mask = None if is_excluded.all() else is_excluded
-        metrics = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
-        if is_examined.any() or not describe_exceeded_tolerances(metrics):
-            break
+    tolerance = limits.difference * scale
+    is_different = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale > limits.difference
+    differs_at_edge = _find_differences_at_edges(
+        scene, mitsuba_image, is_different, limits.shift, tolerance
+    )
+    is_tie, is_examined, is_wrong = judge_differing_pixels(
+        scene, tracer_image, mitsuba_image, is_different & ~differs_at_edge, tolerance
+    )
+    is_excluded = differs_at_edge | is_tie
+    # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
+    compared_image = np.where(is_excluded[:, :, None], mitsuba_image, tracer_image)
+    mask = None if is_excluded.all() else is_excluded
     return CheckResult(
         name=name,
         tracer_image=tracer_image,
-        tracer_seconds=tracer_seconds,
-        mitsuba=rendering,
+        tracer_seconds=pictures.tracer_seconds,
+        mitsuba=pictures.mitsuba,
         differs_at_edge=differs_at_edge,
         is_tie=is_tie,
         is_disputed=is_different & ~is_excluded,
         is_examined=is_examined,
         is_wrong=is_wrong,
-        metrics=metrics,
+        metrics=measure_differences(compared_image / scale, mitsuba_image / scale, mask),
     )
 
 
