@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 from random import Random
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cylinder import Cylinder, add_cylinders
 from probe import scene_of
 
-from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere
-from tracer.arrays import Floats, Ints
-from tracer.geometry.shape import Shape
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces
+from tracer.arrays import Floats, Ints, Triple, find, map_xyz
+from tracer.geometry.shape import CURVED_FACE, Shape, TangentPlanes
 from tracer.world.prepared_scene import PreparedScene
 
 
@@ -50,6 +50,31 @@ def random_scene(seed: int, size: tuple[int, int] = (60, 45)) -> Scene:
     return replace(scene, surfaces=add_cylinders(scene, *cylinders))
 
 
+def scale_scene(scene: Scene, factor: float) -> Scene:
+    """Scale all lengths of a scene, whose surfaces may be cylinders, and remove its lights."""
+    surfaces = scene.surfaces
+    tables = {
+        kind: {name: column * factor for name, column in columns.items()}
+        for kind, columns in surfaces.tables.items()
+    }
+    camera = scene.camera
+    lengths = {
+        name: getattr(camera, name) * factor
+        for name in ("proj_distance", "view_width", "view_height")
+    }
+    scaled = Surfaces.from_tables(
+        tables,
+        shader_index=surfaces.shader_index,
+        file_index=surfaces.file_index,
+        shaders=surfaces.shaders,
+        line=surfaces.line,
+    )
+    eye = tuple(factor * x for x in camera.view_point)
+    return replace(
+        scene, camera=replace(camera, view_point=eye, **lengths), lights=[], surfaces=scaled
+    )
+
+
 def prepare(shape_type: type[Shape], seed: int, **camera: Any) -> tuple[Shape, Ints]:
     """Prepare the objects of one kind in a random scene, and return their object indices.
 
@@ -71,3 +96,42 @@ def trace(shape: Shape, objects: Ints, seed: int) -> tuple[Floats, Floats, Float
         frame.to_ray_y(np.tile(y, objects.size)),
     )
     return ray_x, ray_y, *shape.intersect(objects.repeat(300), ray_y, ray_x, None)
+
+
+class Hits(NamedTuple):
+    """Hits of random rays on objects of one shape, each in a run of its own."""
+
+    shape: Shape
+    object_index: Ints
+    ray: Triple
+    to_hit: Triple
+    t: Floats
+    planes: TangentPlanes
+    face_code: Any
+    tolerance: float  # of positions
+
+    @property
+    def points(self) -> Triple:
+        return self.shape.frame.point_to_scene(self.to_hit)
+
+
+def find_hits(shape_type: type[Shape], seed: int) -> Hits:
+    shape, objects = prepare(shape_type, seed)
+    ray_x, ray_y, t, hit_data = trace(shape, objects, seed)
+    hits = find(t < np.inf)
+    object_index, t, hit_data = objects.repeat(300)[hits], t[hits], hit_data[hits]
+    ray = ray_x[hits], ray_y[hits], np.full(t.size, shape.frame.depth)
+    to_hit = map_xyz(lambda component: t * component, ray)
+    run_length = np.ones(t.size, dtype=np.intp)
+    return Hits(
+        shape=shape,
+        object_index=object_index,
+        ray=ray,
+        to_hit=to_hit,
+        t=t,
+        planes=shape.compute_tangent_planes(
+            object_index, run_length, np.array(to_hit), t, hit_data
+        ),
+        face_code=hit_data if shape.has_planar_faces else np.full(t.size, CURVED_FACE),
+        tolerance=1e-12 * (shape.coordinate_bound.max() + np.abs(shape.frame.eye).sum()),
+    )

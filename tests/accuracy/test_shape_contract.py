@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from cylinder import Cylinder, Cylinders, PlainTracer, add_cylinders
 from probe import scene_of
-from shape_probe import prepare, random_scene, trace
+from shape_probe import find_hits, prepare, random_scene, scale_scene, trace
 
 from reference.judges import plain
-from tracer import Box, Camera, Scene, Surfaces, render
-from tracer.arrays import Bools, Floats, dot, find, map_xyz
+from tracer import Box, Camera, Scene, render
+from tracer.arrays import Bools, Floats, dot, find, map_xyz, take
 from tracer.geometry.box import Boxes
 from tracer.geometry.rounding import OUTSIDE
 from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
@@ -23,31 +23,6 @@ def cylinders_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plug cylinders into the tracer, and into the plain renderer."""
     monkeypatch.setattr("tracer.world.prepared_scene.SHAPES", (Spheres, Boxes, Cylinders))
     monkeypatch.setattr(plain, "_PlainTracer", PlainTracer)
-
-
-def scale_scene(scene: Scene, factor: float) -> Scene:
-    """Scale all lengths of a scene, whose surfaces may be cylinders, and remove its lights."""
-    surfaces = scene.surfaces
-    tables = {
-        kind: {name: column * factor for name, column in columns.items()}
-        for kind, columns in surfaces.tables.items()
-    }
-    camera = scene.camera
-    lengths = {
-        name: getattr(camera, name) * factor
-        for name in ("proj_distance", "view_width", "view_height")
-    }
-    scaled = Surfaces.from_tables(
-        tables,
-        shader_index=surfaces.shader_index,
-        file_index=surfaces.file_index,
-        shaders=surfaces.shaders,
-        line=surfaces.line,
-    )
-    eye = tuple(factor * x for x in camera.view_point)
-    return replace(
-        scene, camera=replace(camera, view_point=eye, **lengths), lights=[], surfaces=scaled
-    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -179,41 +154,68 @@ def test_the_ends_of_a_row_bound_its_hits(shape_type: type[Shape], seed: int) ->
 @EACH_SHAPE
 @EACH_SEED
 @np.errstate(all="ignore")
-def test_tangent_planes_and_faces_agree_with_hits(shape_type: type[Shape], seed: int) -> None:
-    shape, objects = prepare(shape_type, seed)
-    ray_x, ray_y, t, hit_data = trace(shape, objects, seed)
-    is_hit = t < np.inf
-    hit_object, t, hit_data = objects.repeat(300)[is_hit], t[is_hit], hit_data[is_hit]
-    ray = ray_x[is_hit], ray_y[is_hit], np.full(t.size, shape.frame.depth)
-    to_hit = np.array(ray) * t
-    ones = np.ones(t.size, dtype=np.intp)
-    planes = shape.compute_tangent_planes(hit_object, ones, to_hit, t, hit_data)
-    size = shape.coordinate_bound.max() + np.abs(shape.frame.eye).sum()
-    np.testing.assert_allclose(dot(planes.normal, planes.normal), 1, atol=1e-12)
-    height = -dot(planes.normal, (to_hit[0], to_hit[1], to_hit[2]))
-    np.testing.assert_allclose(planes.eye_height, height, atol=1e-12 * size)
-    assert (height > -1e-12 * size).all()
-    points = shape.frame.point_to_scene((to_hit[0], to_hit[1], to_hit[2]))
-    np.testing.assert_allclose(shape.measure_distance(hit_object, points), 0, atol=1e-12 * size)
+def test_tangent_planes_contain_hits_and_face_the_eye(shape_type: type[Shape], seed: int) -> None:
+    hits = find_hits(shape_type, seed)
+    normal = hits.planes.normal
+    np.testing.assert_allclose(dot(normal, normal), 1, atol=1e-12)
+    height = -dot(normal, hits.to_hit)
+    assert (height > -hits.tolerance).all()
+    np.testing.assert_allclose(hits.planes.eye_height, height, atol=hits.tolerance)
+    distance = hits.shape.measure_distance(hits.object_index, hits.points)
+    np.testing.assert_allclose(distance, 0, atol=hits.tolerance)
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_codes_of_faces_tell_their_axes_and_signs(shape_type: type[Shape], seed: int) -> None:
+    hits = find_hits(shape_type, seed)
+    planes = hits.planes
     is_planar = planes.face_axis != NO_AXIS
-    assert shape.has_planar_faces == is_planar.any()
-    assert shape.has_curved_face == (~is_planar).any()
-    coordinate = np.array(points)[planes.face_axis[is_planar], is_planar]
-    np.testing.assert_allclose(planes.face_position[is_planar], coordinate, atol=1e-12 * size)
-    codes = hit_data if shape.has_planar_faces else np.full(t.size, CURVED_FACE)
-    expected_code = np.where(
-        is_planar, 2 * planes.face_axis + (planes.normal_sign > 0), CURVED_FACE
-    )
-    np.testing.assert_array_equal(codes, expected_code)
-    for code in np.unique(codes).tolist():
-        index = find(codes == code)
-        face_ray = tuple(component[index][None] for component in ray)
-        inverse_t = shape.compute_inverse_t(code, hit_object[index], face_ray)
-        np.testing.assert_allclose(inverse_t[0] * t[index], 1, atol=1e-9)
+    assert hits.shape.has_planar_faces == is_planar.any()
+    assert hits.shape.has_curved_face == (~is_planar).any()
+    planar_code = 2 * planes.face_axis + (planes.normal_sign > 0)
+    np.testing.assert_array_equal(hits.face_code, np.where(is_planar, planar_code, CURVED_FACE))
+    coordinate = np.array(hits.points)[planes.face_axis[is_planar], is_planar]
+    np.testing.assert_allclose(planes.face_position[is_planar], coordinate, atol=hits.tolerance)
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_extended_faces_meet_rays_at_hits(shape_type: type[Shape], seed: int) -> None:
+    hits = find_hits(shape_type, seed)
+    for code in np.unique(hits.face_code).tolist():
+        index = find(hits.face_code == code)
+        object_index = hits.object_index[index]
+        ray = map_xyz(lambda component, i=index: component[i][None], hits.ray)
+        inverse_t = hits.shape.compute_inverse_t(code, object_index, ray)
+        np.testing.assert_allclose(inverse_t[0] * hits.t[index], 1, atol=1e-9)
         if code == CURVED_FACE:
-            normal = shape.compute_normals(hit_object[index], face_ray, inverse_t)
-            cosine = dot(normal, map_xyz(lambda n, i=index: n[i], planes.normal))
+            normal = hits.shape.compute_normals(object_index, ray, inverse_t)
+            cosine = dot(normal, take(hits.planes.normal, index))
             np.testing.assert_allclose(cosine, np.sqrt(dot(normal, normal)), rtol=1e-9)
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_planes_of_faces_are_met_at_the_bounding_box(shape_type: type[Shape], seed: int) -> None:
+    hits = find_hits(shape_type, seed)
+    shape = hits.shape
+    corners = np.array(shape.compute_bounding_boxes())  # axes: low or high, coordinate, object
+    found = np.zeros((8, hits.t.size), dtype=np.bool_)
+    for face in shape.intersect_other_faces(hits.object_index, hits.to_hit, 0.01):
+        axis, is_positive = divmod(face.face_code, 2)
+        index = shape.objects.to_local(hits.object_index[face.item_index])
+        # The eye is outside.
+        position = corners[is_positive, axis, index]
+        from_eye = map_xyz(lambda x, f=face: f.t * x[f.item_index], hits.to_hit)
+        coordinate = shape.frame.point_to_scene(from_eye)[axis]
+        np.testing.assert_allclose(coordinate, position, atol=10 * hits.tolerance)
+        found[face.face_code, face.item_index] = True
+    is_planar = hits.face_code != CURVED_FACE
+    assert found[hits.face_code[is_planar], is_planar].all()
 
 
 @EACH_SHAPE

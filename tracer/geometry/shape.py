@@ -84,7 +84,9 @@ class FaceHits(NamedTuple):
     face_code: int
     # The face belongs to the object object_index[item_index], where `object_index` is the argument.
     item_index: Shaped[Ints, "k"]
-    t: Shaped[Floats, "k"]  # the ray meets the plane at t times the vector from the eye to the hit
+    # The ray meets the plane at t times the vector from the eye to the hit; t is negative if the
+    # plane is behind the eye.
+    t: Shaped[Floats, "k"]
     footprint_radius: Shaped[Floats, "k"]  # of the part of the plane that is visible in the cell
 
 
@@ -402,8 +404,9 @@ class Shape(ABC):
     ) -> Iterator[FaceHits]:
         """Yield where the ray through each hit meets the planes of the object's planar faces.
 
-        Only faces that may be visible from the eye count.  Besides the face that is hit, they are
-        faces that the ray just misses.  `cell_angle` is described in `compute_footprint_radii`.
+        Of two parallel faces, only the one whose normal points against the ray counts, because the
+        other is not visible.  So the results contain the face that is hit, and all faces that the
+        ray just misses.  `cell_angle` is described in `compute_footprint_radii`.
         """
         distance = np.sqrt(dot(to_hit, to_hit))
         for axis in self.planar_axes:

@@ -1,4 +1,4 @@
-"""Which objects may block the light at hits?  They are searched for many hits at a time.
+"""Which objects may block the light at hits?  They are found for many hits at a time.
 
 Testing every object for every hit and every light would take too long.  So neighbouring hits on one
 object form a *packet*, with a bounding sphere.  The segments from the hits of a packet to a light

@@ -1,13 +1,13 @@
 """Directions to lights: bounds on the vectors from an object, or from a ball, to a light.
 
-The vectors from all points of an object to a light fill a *box*, which has the axes of the scene.
-An *octant* is the set of all directions for which x, y and z have given signs; there are eight.
-The *part* of a box in an octant consists of its vectors with these signs.  Two kinds of bounds
-describe the directions of a part:
+The vectors from all points of an object to a light lie in a *box*, whose edges are parallel to the
+axes of the scene.  An *octant* is the set of all directions for which x, y and z have given signs.
+The *part* of a box in an octant consists of the vectors that have these signs, so there are up to
+eight parts.  Two kinds of bounds describe the directions of a part:
 
 rectangle
     Bounds on the octahedral coordinates u = |x| / s and v = |y| / s, with s = |x| + |y| + |z|
-    (Engelhardt and Dachsbacher, 2008).  An octant is a triangle of the unit square.
+    (Engelhardt and Dachsbacher, 2008).  They run from 0 to 1, and u + v is at most 1.
 direction bounds
     Bounds on s, and on the ratios |x| / (|x| + |y|), |y| / (|y| + |z|) and |z| / (|z| + |x|), each
     of which is constant in a plane through the light.  They are tighter for long objects.
@@ -59,8 +59,8 @@ class _Range(NamedTuple):
 def split_by_octant(
     vector_min: Shaped[Floats, "3 lights n"],
     vector_max: Shaped[Floats, "3 lights n"],
-    has_patch: Shaped[Bools, "8*lights"],
-    is_active: Shaped[Bools, "#lights #n"],
+    keeps_octant: Shaped[Bools, "8*lights"],
+    keeps_box: Shaped[Bools, "#lights #n"],
 ) -> BoxParts:
     """Split boxes of vectors into parts, and bound the directions of each part.
 
@@ -68,19 +68,19 @@ def split_by_octant(
     ----------
     vector_min, vector_max
         Smallest and largest components of the vectors in each box.
-    has_patch
-        Whether to keep the parts in each octant of each light.
-    is_active
-        Whether to split the box; other boxes have no parts in the result.
+    keeps_octant
+        Whether the result contains parts in the octant of the light: see `BoxParts.octant_index`.
+    keeps_box
+        Whether the result contains parts of the box.
     """
     _, light_count, box_count = vector_min.shape
-    pair_count = light_count * box_count
+    pair_count = light_count * box_count  # pairs of a light and a box
     # Row 0: whether each box contains vectors with x >= 0.  Row 1: whether with x <= 0.
     has_x, has_y, has_z = np.array([vector_max >= 0, vector_min <= 0]).swapaxes(0, 1)
-    has_part = np.array([z & y & x & is_active for z, y, x in product(has_z, has_y, has_x)])
+    has_part = np.array([z & y & x & keeps_box for z, y, x in product(has_z, has_y, has_x)])
     # The index of a part is (sign_bits * lights + light) * n + box.  Bit 0 of `sign_bits` is set if
     # x is negative, bit 1 if y is, and bit 2 if z is.
-    part_index = find(has_part & has_patch.reshape(8, -1, 1))
+    part_index = find(has_part & keeps_octant.reshape(8, -1, 1))
     sign_bits = part_index // pair_count
     box_index = part_index - sign_bits * pair_count
     x, y, z = (
@@ -112,7 +112,10 @@ def _bound_component(
 def _bound_share(
     a: _Range, b: _Range, c: _Range
 ) -> tuple[Shaped[Floats, "parts"], Shaped[Floats, "parts"]]:
-    """Compute the minimum and the maximum of a / (a + b + c): u or v, if a is |x| or |y|."""
+    """Compute the minimum and the maximum of a / (a + b + c) from absolute values of components.
+
+    The ratio is the octahedral coordinate u if a is |x|, and v if a is |y|.
+    """
     min_share = a.low / (a.low + (b.high + c.high)) - DIRECTION_ROUNDING
     max_share = a.high / (a.high + (b.low + c.low)) + DIRECTION_ROUNDING
     return min_share, max_share

@@ -288,8 +288,8 @@ def _split_objects(
     return split_by_octant(
         vector_min=(light_position - vector_error) - box_max[:, None],
         vector_max=(light_position + vector_error) - box_min[:, None],
-        has_patch=np.ones(8 * vector_error.size, dtype=np.bool_),
-        is_active=np.array([[True]]),
+        keeps_octant=np.ones(8 * vector_error.size, dtype=np.bool_),
+        keeps_box=np.array([[True]]),
     )
 
 
