@@ -17,7 +17,6 @@ import shlex
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from statistics import geometric_mean
@@ -38,7 +37,11 @@ from reference.measured.measurements import (
     make_command_task,
     time_alternately,
 )
-from reference.measured.workloads import build_field_scene, copy_with_picture_size
+from reference.measured.workloads import (
+    build_animation,
+    build_field_scene,
+    copy_with_picture_size,
+)
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
@@ -294,18 +297,12 @@ class _FrameFiles(NamedTuple):
 
 
 def _write_frames(frame_count: int, size: tuple[int, int]) -> _FrameFiles:
-    """Write an animation's frames as scene files in the build folder, for each renderer.
-
-    From frame to frame, the eye moves away from the scene.
-    """
+    """Write an animation's frames as scene files in the build folder, for each renderer."""
     scene = copy_with_picture_size(load_scene(SCENES / "sticks-perspective.xml"), *size)
-    camera, eye = scene.camera, np.array(scene.camera.view_point)
     frames = _FrameFiles(
         scene_files=[], mitsuba_paths={"exact": [], "stock": []}, povray_commands=[]
     )
-    for frame_index in range(frame_count):
-        frame_eye = eye * (1 + frame_index / frame_count)
-        frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
+    for frame_index, frame_scene in enumerate(build_animation(scene, frame_count)):
         scene_file = build_path(f"frame-{frame_index}.xml")
         save_scene(frame_scene, scene_file)
         frames.scene_files.append(str(scene_file))

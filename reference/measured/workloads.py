@@ -195,6 +195,19 @@ def build_small_ball_scene() -> Scene:
     return Scene(camera=camera, width=2560, height=1440, lights=lights, surfaces=[ball])
 
 
+def build_animation(scene: Scene, frame_count: int) -> list[Scene]:
+    """Copy a scene for each frame of an animation, in which the eye moves away from the origin.
+
+    The first frame equals `scene`.  In a frame after the last, the eye would be twice as far away.
+    """
+    eye = np.array(scene.camera.view_point)
+    frames = []
+    for frame_index in range(frame_count):
+        frame_eye = eye * (1 + frame_index / frame_count)
+        frames.append(replace(scene, camera=replace(scene.camera, view_point=frame_eye)))
+    return frames
+
+
 def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
     """Return a copy of a scene with a different picture size and square pixels.
 
