@@ -29,10 +29,15 @@ if {spawned}:
     parallel.sys = types.SimpleNamespace(platform="darwin", warnoptions=sys.warnoptions)
 replace = os.replace
 
-def replace_or_die(*paths):
-    if {dying} and multiprocessing.parent_process() is not None:
-        os.kill(os.getpid(), signal.SIGKILL)
-    replace(*paths)
+def replace_or_die(part_path, path):
+    if multiprocessing.parent_process() is not None:
+        if {dying}:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if {orphaned}:
+            os.symlink(part_path, "part")
+            os.kill(os.getppid(), signal.SIGKILL)
+            signal.pause()
+    replace(part_path, path)
 
 os.replace = replace_or_die
 if __name__ == "__main__":
@@ -47,9 +52,19 @@ def is_named(request: pytest.FixtureRequest) -> bool:
     return bool(request.param)
 
 
-def write_command(folder: Path, *, named: bool, spawned: bool = False, dying: bool = False) -> str:
-    """Write the module of a command in which workers may die before they rename a file."""
-    text = COMMAND.format(named=named, spawned=spawned, dying=dying)
+def write_command(
+    folder: Path,
+    *,
+    named: bool,
+    spawned: bool = False,
+    dying: bool = False,
+    orphaned: bool = False,
+) -> str:
+    """Write the module of a command in which a worker may do something before it renames a file.
+
+    If `dying`, it kills itself; if `orphaned`, it kills the command's main process, and waits.
+    """
+    text = COMMAND.format(named=named, spawned=spawned, dying=dying, orphaned=orphaned)
     (folder / "command.py").write_text(text)
     return "command"
 
@@ -99,6 +114,16 @@ def test_part_files_of_killed_workers_are_removed(is_named, spawned, tmp_path):
     wait_until(lambda: not any(map(is_running, killed)))  # the resource tracker ends last
     pictures = [f"{name}.png" for name in scenes]
     assert file_names(tmp_path / "new") == sorted([".0123456789abcdef-other.part", *pictures])
+
+
+def test_a_worker_removes_its_part_file_when_the_command_is_killed(is_named, tmp_path):
+    scenes = [write_ball(tmp_path / f"{k}.xml", 400, 300).name for k in range(40)]
+    module = write_command(tmp_path, named=is_named, orphaned=True)
+    with start_process(*scenes, "--quiet", python=("-m", module), cwd=tmp_path) as process:
+        assert process.wait(120) == -signal.SIGKILL
+    part_file = tmp_path / "part"  # a link to the file, which does not exist once it is removed
+    assert part_file.is_symlink()
+    wait_until(lambda: not part_file.exists())
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
