@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Triple, dot
+from tracer.arrays import Floats, Triple, cross, dot
 from tracer.scene.model import Camera, normalize
 
 
@@ -106,8 +106,9 @@ def compute_frame(
     back = normalize(camera.normal)
     if back @ view_direction > 0:
         back = -back
-    right = normalize(np.cross(normalize(camera.view_up), back))
-    up = np.cross(back, right)
+    # For single vectors, `np.cross` takes ten times as long as `cross`.
+    right = normalize(np.array(cross(normalize(camera.view_up).tolist(), back.tolist())))
+    up = np.array(cross(back.tolist(), right.tolist()))
     window_center = camera.proj_distance * view_direction
     pixel_width = camera.view_width / width
     pixel_height = camera.view_height / height

@@ -215,9 +215,11 @@ def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
 
 def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
     """Find the objects whose kind, position and size are those of an object earlier in the file."""
-    is_duplicate = np.empty(len(surfaces), dtype=np.bool_)
+    is_duplicate = np.zeros(len(surfaces), dtype=np.bool_)
     for kind, columns in surfaces.tables.items():
         objects = get_object_range(surfaces, kind).slice
+        if objects.stop - objects.start < 2:
+            continue
         numbers = [row for column in columns.values() for row in np.atleast_2d(column.T)]
         # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
         factors = _HASH_FACTORS[: len(numbers)]
