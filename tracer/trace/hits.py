@@ -30,14 +30,14 @@ class ShapeHits(NamedTuple):
     planes: TangentPlanes
 
     def repeat_runs(self, run_values: Shaped[NDArray[Any], "runs"]) -> Any:
-        """Repeat the value of each run for all hits of the run."""
+        """Repeat the value of each run (of consecutive hits on one face) for all its hits."""
         return repeat_runs(run_values, self.run_length)
 
     def expand_to_hits(self, plane_values: Shaped[Floats, "planes"]) -> Shaped[Floats, "n"]:
-        """Return the value of each hit's tangent plane.
+        """Return the value that belongs to the tangent plane at each hit.
 
-        `planes` has one plane for each hit if the shape has a curved face, and otherwise one for
-        each run.
+        If the shape has a curved face, the arrays in `planes` have one value for each hit.
+        Otherwise they have one value for each run of consecutive hits on one face.
         """
         return plane_values if self.shape.has_curved_face else self.repeat_runs(plane_values)
 

@@ -70,7 +70,7 @@ class LightGeometry(NamedTuple):
     def compute_highlight_strength(
         self, light_index: int, hit_index: Shaped[Ints, "k"]
     ) -> Shaped[Floats, "k"]:
-        """Compute the strength of the highlight of one light at selected hits.
+        """Compute the strength, (n.h)^p, of the highlight of one light at selected hits.
 
         The surface must face the light at these hits.
         """
@@ -133,7 +133,7 @@ def _compute_accurate_highlight(
     eye_direction: Shaped[Triple, "n"],
     exponent: Shaped[Floats, "n"],
 ) -> Shaped[Floats, "n"]:
-    """Compute the strength of the highlight at each hit, without cancellation of digits.
+    """Compute the strength, (n.h)^p, of the highlight at each hit, without cancellation of digits.
 
     All vectors are unit vectors from the hit.  The strength is 0 if the light and the eye are in
     opposite directions.

@@ -137,10 +137,10 @@ def find_candidates(
 def _query_grid(
     grid: LightGrid, packets: _Packets, shapes: Iterable[Shape]
 ) -> Iterator[tuple[Shape, Shaped[Ints, "3 n"]]]:
-    """Find the objects that may lie between packets and lights, unless `may_be_lit` is False.
+    """Find the objects that may lie between packets (groups of hits) and lights.
 
     Yields, in batches, a shape with indices of lights in row 0, of packets in row 1, and of objects
-    of this shape in row 2.
+    of this shape in row 2.  Lights and packets are skipped where `packets.may_be_lit` is False.
     """
     for first_packet in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
         packet_slice = slice(first_packet, first_packet + _PACKETS_PER_QUERY)
@@ -161,7 +161,7 @@ def _query_grid(
 def _test_packets(
     packets: _Packets, lights: Lights, shape: Shape, candidates: Shaped[Ints, "3 k"]
 ) -> tuple[Shaped[Ints, "3 remaining"], Shaped[Ints, "2 shaded"]]:
-    """Test which objects shade all hits of a packet, and which may shade some of them.
+    """Test which objects shade all hits in a packet (a group of hits), and which may shade some.
 
     Where an object shades all hits, `packets.may_be_lit` is set to False.
 
@@ -194,9 +194,10 @@ def _test_packets(
 def _build_levels(
     hits: Hits, faces_light: Shaped[Bools, "lights n"], margin: Shaped[Floats, "n"] | None
 ) -> list[_Packets]:
-    """Group hits into packets; return the level of the largest packets first.
+    """Group neighbouring hits into row packets, and these into square packets if objects are large.
 
-    The bounding spheres contain all points that are at most `margin` away from a hit.
+    Returns the level of the largest packets first.  The bounding spheres contain all points that
+    are at most `margin` away from a hit.
     """
     samples_per_side = compute_samples_per_side(hits.samples)
     samples_across_packet = hits.scene.packet_width * samples_per_side

@@ -77,13 +77,13 @@ class _Intersections(NamedTuple):
 
     @property
     def pair_object(self) -> Shaped[Ints, "n"]:
-        """Object index of each pair."""
+        """Object index of each pair of a sample and an object."""
         return repeat_runs(self.object_index, self.sample_count)
 
     def select(self, is_selected: Shaped[Bools, "n"]) -> _Intersections:
-        """Keep the selected pairs, in the same order.
+        """Keep the selected pairs of a sample and an object, in the same order.
 
-        If all pairs are selected, the result is this object itself.
+        If all pairs are selected, the result is this instance itself.
         """
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
@@ -118,9 +118,11 @@ class _Intersections(NamedTuple):
     def find_run_starts(
         self, samples: Samples, frame: CameraFrame, hit_depth: Shaped[Floats, "n"]
     ) -> Shaped[Ints, "runs"]:
-        """Find the index of the first hit of each run; every pair must be a hit.
+        """Find the index of the first hit of each run.
 
-        `hit_depth` is the distance of each hit ahead of the eye.
+        A run consists of consecutive hits in one row of samples, on the same face of the same
+        object.  No intersection may be a miss.  `hit_depth` is the distance of each hit ahead of
+        the eye.
         """
         if self.sample_count is None:
             is_start = self._mark_scattered_starts(samples, frame, hit_depth)
@@ -131,7 +133,10 @@ class _Intersections(NamedTuple):
         return find(is_start)
 
     def _mark_row_starts(self, sample_count: Shaped[Ints, "spans"]) -> Shaped[Bools, "n"]:
-        """Mark the hits at which a span starts, or continues behind a nearer object."""
+        """Mark the first hit of each span, and the first hit after each gap in a span.
+
+        There is a gap where a nearer object hides this one.
+        """
         is_start = np.zeros(self.t.size, dtype=np.bool_)
         span_start = sample_count.cumsum() - sample_count
         is_start[span_start[sample_count > 0]] = True

@@ -106,7 +106,7 @@ class Patches(NamedTuple):
     def to_relative(
         self, rectangles: Shaped[Floats, "4 n"], patch_index: Shaped[Ints, "n"]
     ) -> Shaped[Floats, "4 n"]:
-        """Convert rectangles to coordinates that run from 0 to 1 across their patches."""
+        """Convert bounds on u and v to coordinates that run from 0 to 1 across the patches."""
         origin = self.origin.take(patch_index, axis=1)
         size = self.size.take(patch_index, axis=1)
         return ((rectangles.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
@@ -166,10 +166,10 @@ class LightGrid(NamedTuple):
     def _match_parts(
         self, ball_parts: BoxParts
     ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
-        """Find the objects' parts that have directions in common with each part of a ball.
+        """Find the parts of objects that have directions in common with each part of a ball.
 
-        Yields batches of two arrays: indices of parts of balls, and of parts of objects.  No pair
-        occurs twice.
+        A part is what lies in one octant, as seen from a light.  Yields batches of two arrays:
+        indices of parts of balls, and of parts of objects.  No pair occurs twice.
         """
         # An object may be closer to the light than all of the ball.  So the minimum distance of
         # the ball excludes nothing.
@@ -184,7 +184,7 @@ class LightGrid(NamedTuple):
     def _list_parts(
         self, ball_parts: BoxParts
     ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
-        """Look up the parts of objects that have a cell in common with each part of a ball.
+        """Look up the parts of objects that overlap a cell with each part of a ball.
 
         Yields batches of two arrays: indices of parts of balls, and of parts of objects.  No pair
         occurs twice.
