@@ -37,6 +37,7 @@ from tracer import (
 )
 from tracer.antialias import refine
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
+from tracer.antialias.smooth import CenterSamples, estimate_pixel_means
 from tracer.arrays import Floats
 from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.world.prepared_scene import PreparedScene
@@ -229,6 +230,15 @@ def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
 def test_no_radiance_is_negative(seed):
     # A point that represents a narrow region may have a negative weight.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0
+
+
+def test_the_mean_beside_another_surface_is_not_corrected():
+    # Radiance increases by 1 per pixel; the last two of five columns show another surface.
+    column = np.tile(np.arange(5), 3)
+    samples = CenterSamples(radiance=np.tile(column * 1.0, (3, 1)), id=1 * (column > 2))
+    means = estimate_pixel_means(samples, width=5)
+    assert np.array_equal(means.radiance.reshape(3, 3, 5)[:, 1, 1:-1], [[1, 2, 3]] * 3)
+    assert np.array_equal(means.error.reshape(3, 5)[1, 1:-1], [0, 1 / 24, 1 / 24])
 
 
 def test_quarters_with_lines_are_refined_although_samples_agree():
