@@ -68,12 +68,12 @@ _CELLS_PER_BATCH = 4 * CACHE_SIZE
 # objects lie in one cell.
 _OBJECTS_PER_OUTLIER = 64
 
-# Flags of a cell that a rectangle overlaps: the cell is in the first column of the rectangle, or in
-# its first row.
+# Flags of a cell in a rectangle: the cell is in the first column of the rectangle, or in its first
+# row.
 _FIRST_COLUMN = 1
 _FIRST_ROW = 2
 
-# The rectangles of a ball's part and of an object's part may have several cells in common, and a
+# The rectangles of a ball's part and of an object's part may have several cells in common, but a
 # query should find the pair only once.  So the pair belongs to the first of these cells, which is
 # in the first column of either rectangle, and in the first row of either.  For this purpose each
 # cell has four lists.  A part of an object is in the list for the flags of the cell in its
@@ -82,9 +82,10 @@ _FIRST_ROW = 2
 # times as long.
 _LIST_OF_FLAGS = np.array([3, 2, 0, 1])
 
-# Which lists of a cell a query reads, by the flags of the cell in the rectangle of the ball's part:
-# the first of them (row 0) and the first after them (row 1).
-_LISTS_TO_READ = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
+# A query reads consecutive lists of a cell, from the first up to but not including the last of
+# these two, by the flags of the cell in the rectangle of the ball's part.
+_LISTS_START = np.array([1, 0, 1, 0])
+_LISTS_STOP = np.array([2, 2, 3, 4])
 
 # A light farther away than this many times the scene's size is moved to this distance.  Directions
 # to the light turn by at most the reciprocal, in radians.
@@ -193,11 +194,10 @@ class LightGrid(NamedTuple):
         rectangles = self.patches.to_relative(ball_parts.rectangles, patch_index)
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
         for ball_part, cell_index, flags in overlaps:
-            start, end = (
-                self.list_start.take(4 * cell_index + list_index.take(flags)).astype(np.intp)
-                for list_index in _LISTS_TO_READ
-            )
-            length = end - start
+            first_list = 4 * cell_index + _LISTS_START.take(flags)
+            end_list = 4 * cell_index + _LISTS_STOP.take(flags)
+            start = self.list_start.take(first_list).astype(np.intp)
+            length = self.list_start.take(end_list).astype(np.intp) - start
             for batch in split_by_size(length, _PAIRS_PER_BATCH):
                 object_part = self.listed_part.take(join_ranges(length[batch], start[batch]))
                 yield ball_part[batch].repeat(length[batch]), object_part
@@ -361,17 +361,23 @@ def _build_lists(
     return list_start, sorted_keys.astype(np.uint32)  # the lower half of a key is the part
 
 
+class _Overlaps(NamedTuple):
+    """Pairs of a rectangle and a cell that it overlaps."""
+
+    rectangle_index: Shaped[Ints, "k"]
+    cell_index: Shaped[Ints, "k"]  # (patch * cells_per_side + column) * cells_per_side + row
+    # Sum of `_FIRST_COLUMN` and `_FIRST_ROW`, if they apply to the cell in the rectangle.
+    flags: Shaped[NDArray[np.uint8], "k"]
+
+
 def _find_overlaps(
     relative_rectangles: Shaped[Floats, "4 n"],
     patch_index: Shaped[Ints, "n"],
     cells_per_side: int,
-) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[Ints, "k"], Shaped[NDArray[np.uint8], "k"]]]:
-    """Find all cells of its patch that each rectangle overlaps.
+) -> Iterator[_Overlaps]:
+    """Find, in batches, all cells of its patch that each rectangle overlaps.
 
-    Yields batches of three arrays: indices of rectangles, indices of cells, and sums of the flags
-    `_FIRST_COLUMN` and `_FIRST_ROW` that the cell has in the rectangle.  The index of a cell is
-    (patch * cells_per_side + column) * cells_per_side + row.  The cells at the border of a patch
-    also cover everything beyond the border.
+    The cells at the border of a patch also cover everything beyond the border.
     """
     cell_ranges = (cells_per_side * relative_rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
@@ -387,4 +393,6 @@ def _find_overlaps(
         is_first_column = column == first_column.take(strip_rectangle)
         flags = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
         flags |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)
-        yield strip_rectangle.take(strip_index), cell_index, flags
+        yield _Overlaps(
+            rectangle_index=strip_rectangle.take(strip_index), cell_index=cell_index, flags=flags
+        )
