@@ -153,13 +153,7 @@ def estimate_means(
     regions = _divide_cells(strips, ~is_skipped)
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
-
-    # Means and errors of the regions.  Radiance is between 0 and the maximum of the cell.
-    region_mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
-    max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
-    region_error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
-
-    # Means and errors of the cells.
+    region_mean, region_error = _bound_region_means(regions, radiance, sample_error, max_radiance)
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
@@ -178,6 +172,23 @@ def estimate_means(
         mean=mean,
         error=cell_error,
     )
+
+
+def _bound_region_means(
+    regions: Regions,
+    radiance: Enclosures,
+    sample_error: Shaped[Floats, "regions"],
+    max_radiance: Shaped[Floats, "3 cells"],
+) -> tuple[Shaped[Floats, "3 regions"], Shaped[Floats, "regions"]]:
+    """Estimate the mean radiance of each region outside the strips, and bound its error.
+
+    The arguments are those of `CellEstimates`.
+    """
+    mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
+    # The true mean is between 0 and the maximum radiance in the cell.
+    max_error = np.maximum(mean, max_radiance[:, regions.cell_index] - mean)
+    error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
+    return mean, error
 
 
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 cells"]:
@@ -399,9 +410,11 @@ class _Picture:
         may_finish_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
         contributions = shade(analysis, may_finish_cell | (cells.width <= 1), settled_error)
+        # Cells of any size that show a single face, for which each light is settled.
         pair_index = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
         is_pending[cells.cell_index[pair_index]] = False
         self.add_cells(cells, cells.cell_index[pair_index], cells.radiance[pair_index])
+        # Cells that are not larger than a pixel, with edges in them.
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.find_final_cells(cells, estimates.error, is_pending)

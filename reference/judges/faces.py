@@ -18,8 +18,8 @@ direction of a camera ray, except for one square root, if it is divided by the d
   n.d + b / t.
 
 Faces are numbered as follows: all spheres, then the low sides of all boxes along x, their high
-sides along x, and the same for y and z.  Objects are numbered with all spheres first.  Positions
-are relative to the eye and along the camera's axes, unless said otherwise.
+sides along x, and the same for y and z.  Positions are relative to the eye and along the camera's
+axes, unless said otherwise.
 
 In the certificate, only this module uses internals of the tracer: the prepared scene, its light
 grid, and single samples.  From a sample, the certificate uses only *which* face is visible and
@@ -55,12 +55,12 @@ _MAX_LIGHT_DISTANCE = 1e14
 class _BoxSides(NamedTuple):
     """The sides of boxes.
 
-    The first axis of an array holds the axes x, y and z to which the sides are perpendicular.  The
-    second axis holds the low and the high side.
+    The first axis of an array stands for the axes x, y and z of the scene, to which the sides are
+    perpendicular.  The second axis stands for the low and the high side.
     """
 
-    offset: Shaped[Floats, "3 2 boxes"]  # of the side's plane from the eye, along the scene's axes
-    position: Shaped[Floats, "3 2 boxes"]  # of the side's plane, along the scene's axes
+    position: Shaped[Floats, "3 2 boxes"]  # coordinate of the side's plane on its axis
+    offset: Shaped[Floats, "3 2 boxes"]  # `position` minus the coordinate of the eye
     faces_eye: Shaped[Bools, "3 2 boxes"]  # whether the eye sees the side, if nothing hides it
     has_area: Shaped[Bools, "3 1 boxes"]
     is_of_sheet: Shaped[Bools, "boxes"]  # see `Faces.sheet_face_index`
@@ -112,6 +112,7 @@ class Faces:
     prepared_lights: Lights
     spheres: Spheres
     boxes: Boxes
+    # Objects are numbered with all spheres first.
     sphere_count: int
     object_count: int
     light_position: Shaped[Floats, "lights 3"]
@@ -185,8 +186,8 @@ class Faces:
         is_eye_inside = self.prepared_scene.is_eye_inside[self.sphere_count :]
         has_extent = offset[:, 0] < offset[:, 1]
         return _BoxSides(
-            offset=offset,
             position=np.stack([boxes.min_pt, boxes.max_pt], axis=1),
+            offset=offset,
             faces_eye=offset * [[-1], [1]] * np.where(is_eye_inside, 1, -1) > 0,
             has_area=(has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None],
             is_of_sheet=np.asarray(~has_extent.all(axis=0)),
@@ -280,6 +281,7 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
     def _set_unlit_faces(self) -> None:
+        """Set `is_unlit`."""
         is_eye_inside, lights = self.prepared_scene.is_eye_inside, self.prepared_lights
         boxes = self.boxes
         # `side` is positive for a light outside an object, negative inside, 0 on a side of a box.
