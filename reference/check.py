@@ -296,9 +296,7 @@ def _render_diffuse_light(
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Render a scene with the tracer, and compare the picture with Mitsuba's, `rendering`.
 
-    Differing pixels whose centre is close to an edge are excluded.  Some of the remaining differing
-    pixels are traced in exact arithmetic, to decide which picture is wrong.  Raise ValueError if a
-    radiance in either picture is not finite.
+    Raise ValueError if a radiance in either picture is not finite.
     """
     if not np.isfinite(rendering.image).all():
         raise ValueError(
@@ -326,7 +324,11 @@ class _Pictures(NamedTuple):
 
 
 def _compare_pixels(scene: Scene, name: str, pictures: _Pictures, limits: Limits) -> CheckResult:
-    """Find the pixels that differ by more than `limits.difference`, and explain them."""
+    """Find the pixels that differ by more than `limits.difference`, and judge them.
+
+    A pixel is excluded if an edge or a tie explains it.  The metrics are computed without such
+    pixels.
+    """
     tracer_image = pictures.tracer_image
     mitsuba_image = pictures.mitsuba.image
     # Tolerances are for radiance up to 1.  Above 1, they scale with the darker picture's maximum,

@@ -122,7 +122,8 @@ class Compared(NamedTuple):
     """What has been found out about a submitted or missing picture."""
 
     result: Result
-    pair: Pair | None  # for the HTML page; None if no page is requested, or if there is an error
+    # The pictures for the HTML page.  None if no page is requested, or if there is an error.
+    pair: Pair | None
 
 
 def parse_tolerance(argument: str) -> float:
@@ -292,7 +293,7 @@ def _write_pages(options: Options, results: Sequence[Result], pairs: dict[str, P
     """Write the pages that --html requests; without this option, do nothing.
 
     They are the page of all pictures and, if the option names a folder, `students/NAME.html` for
-    each student.  `pairs` are those of the results, by the path of the submitted picture.
+    each student.  `pairs` has the pictures to show, by the path of the submitted picture.
     """
     page_path = options.page_path
     if not (options.html and page_path):
@@ -332,7 +333,10 @@ def _load_all_codes(folder: Path) -> dict[str, Shaped[Codes, "height width 3"]]:
 
 
 def compare_hand_in(options: Options, hand_in: HandIn) -> Compared:
-    """Compare a submitted picture with its reference, and return errors instead of raising them."""
+    """Compare a submitted picture with its reference.
+
+    If they cannot be compared, no exception is raised, but the result contains the error.
+    """
     paths = hand_in.picture, hand_in.reference
     picture_name, reference_name = (str(path) if path else None for path in paths)
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
@@ -354,10 +358,10 @@ def compare_hand_in(options: Options, hand_in: HandIn) -> Compared:
 def _compare_files(
     options: Options, picture_path: Path, reference_path: Path, result: Result
 ) -> Compared:
-    """Compare the files of two pictures, and add what is found out to a result that names them.
+    """Compare the files of two pictures, and complete the result, which so far only names them.
 
-    If -o is given, also draw both pictures side by side; of a class, only those that do not agree.
-    Raise Failure if a file cannot be read or written.
+    If -o is given, also draw both pictures side by side.  In a class, this is done only for
+    pictures that do not agree.  Raise Failure if a file cannot be read or written.
     """
     picture = read_picture(picture_path)
     reference = _load_reference(reference_path)
@@ -382,7 +386,10 @@ def _compare_files(
 
 
 def _diagnose(options: Options, picture: Picture, reference: Reference) -> Diagnosis:
-    """Find the mistakes in a picture, or the other scene of a folder that it shows exactly."""
+    """Find the mistakes in a picture.
+
+    If none explains it, and the references are a folder, find out if it shows another scene.
+    """
     diagnosis = reference.diagnose(picture)
     if diagnosis.kind in (WRONG_SIZE, UNKNOWN) and options.reference.is_dir():
         for name, codes in _load_all_codes(options.reference).items():

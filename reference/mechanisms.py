@@ -157,7 +157,10 @@ def copy_tracer(folder: Path, mechanism: Mechanism | None = None) -> Path:
 
 
 def measure(tracer_folder: Path, scene_file: Path, samples: int) -> Measured:
-    """Render a scene file in a new process, with the tracer that a folder contains."""
+    """Render a scene file in a new process, with the tracer in a folder.
+
+    `samples` is the number of samples per pixel.  The picture is also stored in the folder.
+    """
     picture_file = tracer_folder / "picture.npy"
     arguments = _MEASURE_SCRIPT, scene_file, samples, picture_file
     command = sys.executable, *map(str, arguments)

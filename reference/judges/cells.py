@@ -38,7 +38,11 @@ MAX_WIDTH = 8
 
 
 class Cells(NamedTuple):
-    """Square cells of equal width that cover parts of a picture, with their pairs and triples."""
+    """Square cells of equal width that cover parts of a picture, with their pairs and triples.
+
+    A pair is a face that may be visible in a cell.  A triple adds a light, and an object that may
+    shade the face from the light.
+    """
 
     width: float  # in pixels; a power of two
     # Centres of the cells, in pixels from the upper left corner of the picture.
@@ -120,9 +124,9 @@ class Cells(NamedTuple):
 
 
 class Contributions(NamedTuple):
-    """Contributions of single lights to the radiance of pairs, sorted by pair and light.
+    """What single lights add to the radiance of pairs, sorted by pair and light.
 
-    A contribution is what the face reflects to the eye wherever the light reaches the face.
+    It is what the pair's face reflects to the eye wherever the light reaches the face.
     """
 
     pair_index: Shaped[Ints, "n"]
@@ -137,8 +141,8 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     """Cover a picture of `width` times `height` pixels with a row or a column of square cells.
 
     The width of the cells is a power of two: at least 16 pixels, and at least the shorter side of
-    the picture.  Each cell is paired with every face that may be visible to the camera.  Lights
-    are settled for the faces that they certainly do not reach.  There are no triples yet.
+    the picture.  Each cell forms a pair with every face that may be visible to the camera.  Lights
+    that certainly do not reach a face are settled for its pairs.  There are no triples yet.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count = int(np.ceil(height / cell_width))

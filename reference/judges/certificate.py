@@ -138,10 +138,11 @@ class CellEstimates(NamedTuple):
 def estimate_means(
     analysis: CellAnalysis, contributions: Contributions, is_skipped: Shaped[Bools, "cells"]
 ) -> CellEstimates:
-    """Estimate the mean radiance of each cell, and bound the error of the estimate.
+    """Estimate the mean radiance of each cell of the picture, and bound the error of the estimate.
 
-    One sample is traced at the centroid of each region, except in skipped cells, in cells with too
-    many edges, and in black cells.  Their mean radiance is estimated as half the maximum.
+    Strips that contain the edges divide a cell into regions.  One sample is traced at the centroid
+    of each region.  In skipped cells, in cells with too many edges, and in black cells, no sample
+    is traced, and half the maximum radiance is the estimate.
     """
     cell_count = analysis.cells.x.size
     max_radiance = _bound_radiance(analysis.cells, contributions)
@@ -182,7 +183,8 @@ def _bound_region_means(
 ) -> tuple[Shaped[Floats, "3 regions"], Shaped[Floats, "regions"]]:
     """Estimate the mean radiance of each region outside the strips, and bound its error.
 
-    The arguments are those of `CellEstimates`.
+    The estimate is the mean of the polynomial that encloses the radiance.  The error is at most the
+    deviation from the polynomial plus `sample_error`, and at most `max_radiance` of the cell.
     """
     mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
     # The true mean is between 0 and the maximum radiance in the cell.
@@ -210,9 +212,10 @@ def _enclose_edges(
     max_radiance: Shaped[Floats, "3 cells"],
     is_skipped: Shaped[Bools, "cells"],
 ) -> Strips:
-    """Enclose each edge in a strip, and bound the jump in radiance across the edge.
+    """Enclose each edge of the picture in a strip, and bound the jump in radiance across the edge.
 
-    Edges without a jump, and edges in skipped cells, get no strip.
+    `max_radiance` bounds the radiance anywhere in a cell.  Edges without a jump, and edges in
+    skipped cells, get no strip.
     """
     cells, edges = analysis.cells, concatenate_edges(analysis.edges)
     cell_index = cells.cell_index[edges.pair_index]
@@ -234,9 +237,9 @@ def _find_contributions(
     light_index: Shaped[Ints, "n"],
     light_count: int,
 ) -> Shaped[Ints, "n"]:
-    """Find the index of the contribution of a light to each pair, or -1 where there is none.
+    """Find the index in `contributions` of each combination of a pair and a light; -1 for none.
 
-    For a light index of -1, the result has no meaning.
+    Where `light_index` is -1, the result has no meaning.
     """
     # Each combination of a pair and a light has its own key.
     keys = contributions.pair_index * light_count + contributions.light_index
@@ -255,9 +258,10 @@ def _divide_cells(strips: Strips, is_sampled: Shaped[Bools, "cells"]) -> Regions
 def _bound_sample_errors(
     strips: Strips, regions: Regions, cell_count: int
 ) -> Shaped[Floats, "regions"]:
-    """Compute the sum of the jumps of all strips that contain the centroid of each region.
+    """Bound the error that results if the sample at a region's centroid is beyond an edge.
 
-    The result is infinite if the region is too small for an accurate centroid.
+    The bound is the sum of the jumps in radiance across the edges in all strips that contain the
+    centroid.  It is infinite if the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.moments
     strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))

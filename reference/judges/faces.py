@@ -82,7 +82,7 @@ def _compute_height_half_spaces(
     eye_power: Shaped[Floats, "spheres"],
     light_position: Shaped[Floats, "lights 3"],
 ) -> Shaped[Floats, "5 lights+1 spheres"]:
-    """Compute `Faces.height_half_space` for spheres."""
+    """Compute `Faces.height_half_space` for spheres: heights of the lights, then of the eye."""
 
     # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point
     # t d, t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
@@ -155,7 +155,7 @@ class Faces:
     has_shadow_edge: Shaped[Bools, "9 lights boxes"]
 
     def __init__(self, scene: Scene) -> None:
-        """Describe a scene.
+        """Set all attributes, which describe a scene.
 
         Raise ValueError if the eye is on a surface, or if the distance of a light is more than 1e14
         times the size of the smallest object.
@@ -181,6 +181,7 @@ class Faces:
         self._set_unlit_faces()
 
     def _describe_sides(self) -> _BoxSides:
+        """Describe the sides of all boxes, as the eye sees them."""
         boxes, eye = self.boxes, self.frame.eye[:, None]
         offset = np.stack([boxes.min_pt - eye, boxes.max_pt - eye], axis=1)
         is_eye_inside = self.prepared_scene.is_eye_inside[self.sphere_count :]

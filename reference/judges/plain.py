@@ -40,7 +40,7 @@ Array: TypeAlias = NDArray[Any]
 """Array of numbers of any type: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
 Roots: TypeAlias = tuple[Array, Array]
-"""The smaller and the larger t at which each ray meets a surface."""
+"""The smaller and the larger t at which each ray meets a surface; NaN for a miss of a sphere."""
 
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
@@ -79,10 +79,11 @@ def intersect_by_projection(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by projecting its centre onto each ray; NaN for a miss.
+    """Find the smaller and the larger t at which rays meet a sphere; NaN for a miss.
 
-    The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
-    Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).
+    The sphere's centre is projected onto each ray.  The error grows linearly with the distance to
+    the sphere (Haines, Günther and Akenine-Möller, Precision Improvements for Ray/Sphere
+    Intersection, Ray Tracing Gems, chapter 7).
     """
     to_center = center - origin
     squared_length = _dot(direction, direction)
@@ -102,9 +103,10 @@ def intersect_by_formula(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by the quadratic formula of most textbooks; NaN for a miss.
+    """Find the smaller and the larger t at which rays meet a sphere; NaN for a miss.
 
-    The error grows with the square of the distance from the origin to the sphere.
+    The quadratic formula is that of most textbooks.  The error grows with the square of the
+    distance from the origin to the sphere.
     """
     from_center = origin - center
     linear_coef = 2 * _dot(from_center, direction)
@@ -118,11 +120,11 @@ def intersect_by_expansion(
     center: Shaped[Array, "3 1"],
     radius: Shaped[Array, "1"],
 ) -> Shaped[Roots, "n"]:
-    """Intersect rays with a sphere by an expanded form of the quadratic formula; NaN for a miss.
+    """Find the smaller and the larger t at which rays meet a sphere; NaN for a miss.
 
-    |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
-    with the square of the distance between origin and sphere, and with the squares of their
-    distances from the point (0, 0, 0).
+    In the quadratic formula, |origin - center|^2 is expanded to |origin|^2 - 2 origin.center +
+    |center|^2.  The error grows with the square of the distance between origin and sphere, and with
+    the squares of their distances from the point (0, 0, 0).
     """
     squared_distance = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
     linear_coef = 2 * (_dot(origin, direction) - _dot(center, direction))

@@ -19,7 +19,7 @@ from reference.judges.vectors import compute_cross_product, compute_squared_leng
 
 
 class RayFunctions(NamedTuple):
-    """Functions of the camera ray, each about one pair."""
+    """Functions of the camera ray, each about one pair: a face in a cell of the picture."""
 
     pair_index: Shaped[Ints, "n"]
     smooth_part: Enclosures  # (8, n)

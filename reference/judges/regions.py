@@ -70,7 +70,7 @@ class Strips(NamedTuple):
 def enclose_in_strips(
     cell_index: Shaped[Ints, "n"], functions: Enclosures, jump: Shaped[Floats, "n"]
 ) -> Strips:
-    """Enclose the zeros of each edge function (8, n) in a strip between two parallel lines.
+    """Enclose the zeros of each function (8, n) in a strip between two parallel lines.
 
     The lines are perpendicular to the function's gradient at a point near the zero.  The strip is
     wide enough to allow for the error bound and the curvature of the function.  The result is
@@ -304,7 +304,7 @@ def _cut_triangles(
 
 
 def _merge_triangles(triangles: _Triangles, bit_count: int) -> Regions:
-    """Merge the triangles with the same cell and the same side bits into one region."""
+    """Merge triangles with equal cells and side bits into one region, sorted by cell and bits."""
     area, moments = _compute_moments(triangles.corners)
     triangle_keys = (triangles.cell_index << bit_count) | triangles.side_bits
     keys, region_index = np.unique(triangle_keys, return_inverse=True)

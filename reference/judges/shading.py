@@ -33,12 +33,12 @@ _MIN_SQUARE = 1e-300
 def shade(
     analysis: CellAnalysis, is_requested: Shaped[Bools, "pairs"], permitted_error: float
 ) -> Contributions:
-    """Compute the radiance from unsettled lights, and settle those with accurate results.
+    """Bound the radiance that lights add to pairs, which are faces in cells of the picture.
 
-    A light is settled if no terminator or shadow edge of the light can cross the cell, and the
-    error of its radiance, in each channel, is at most `permitted_error` divided by the number of
-    lights.  The radiance of settled lights is added to `analysis.cells.radiance`.  The result has
-    the radiance that each light that is still unsettled adds to each requested pair.
+    A light becomes settled for a pair if no terminator or shadow edge of the light can cross the
+    cell, and if the error of its radiance in each channel is at most `permitted_error` divided by
+    the number of lights.  Its radiance is then added to `analysis.cells.radiance`.  The result has
+    the radiance of the lights that remain unsettled, for the requested pairs.
     """
     contributions = _enclose_contributions(analysis, is_requested)
     cells = analysis.cells
@@ -59,10 +59,10 @@ def shade(
 def _enclose_contributions(
     analysis: CellAnalysis, is_requested: Shaped[Bools, "pairs"]
 ) -> Contributions:
-    """Enclose the radiance that each unsettled light adds to each requested pair.
+    """Enclose the radiance that requested pairs reflect from each light that is not settled.
 
-    The radiance is that of points that the light reaches.  Whether an object blocks the light is
-    not tested.
+    The result is sorted by pair and light.  It is the radiance where the light reaches the face,
+    because whether an object blocks the light is not tested.
     """
     faces, cells, scene = analysis.faces, analysis.cells, analysis.faces.prepared_scene
     pair_index, light_index = np.nonzero(~cells.is_settled & is_requested[:, None])
@@ -97,7 +97,7 @@ class _LightTerms(NamedTuple):
 def _enclose_light_terms(
     analysis: CellAnalysis, pair_index: Shaped[Ints, "n"], light_index: Shaped[Ints, "n"]
 ) -> _LightTerms:
-    """Enclose the terms of each combination of a pair and a light."""
+    """Enclose the terms for pairs with one light each, which have the given indices."""
     cell_index = analysis.cells.cell_index[pair_index]
     position = analysis.faces.light_position[light_index].T
     squared_ray_length = analysis.squared_ray_length[cell_index]
