@@ -37,7 +37,7 @@ from tracer import (
 )
 from tracer.antialias import refine
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
-from tracer.antialias.smooth import CenterSamples, estimate_pixel_means
+from tracer.antialias.smooth import CenterSamples, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import Floats
 from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.world.prepared_scene import PreparedScene
@@ -239,6 +239,15 @@ def test_the_mean_beside_another_surface_is_not_corrected():
     means = estimate_pixel_means(samples, width=5)
     assert np.array_equal(means.radiance.reshape(3, 3, 5)[:, 1, 1:-1], [[1, 2, 3]] * 3)
     assert np.array_equal(means.error.reshape(3, 5)[1, 1:-1], [0, 1 / 24, 1 / 24])
+
+
+def test_the_error_of_quarters_is_half_of_what_their_cell_lacked():
+    # The second cell shows another surface in one quarter: its error says nothing.
+    cells = CenterSamples(radiance=np.zeros((3, 2)), id=np.zeros(2, dtype=int))
+    quarters = CenterSamples(radiance=np.full((3, 8), 6.0), id=np.array([0, 0, 0, 0, 0, 1, 0, 0]))
+    means = estimate_quarter_means(cells, np.full(2, np.nan), quarters, 0.1)
+    assert np.array_equal(means.radiance, [[8] * 4 + [6] * 4] * 3)
+    assert np.array_equal(means.error, [1] * 4 + [np.nan] * 4, equal_nan=True)
 
 
 def test_quarters_with_lines_are_refined_although_samples_agree():
