@@ -96,7 +96,7 @@ class Hits(NamedTuple):
         group_normals = [
             map_xyz(group.expand_to_hits, group.planes.normal) for group in self.groups
         ]
-        x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
+        x, y, z = np.concatenate(group_normals, axis=1)
         return x, y, z
 
     @property

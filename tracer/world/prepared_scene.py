@@ -136,9 +136,9 @@ class PreparedScene:
         max_coordinate_sum = coordinate_bound + np.abs(self.frame.eye).sum()
         self.position_error = POSITION_ROUNDING * max_coordinate_sum
         self.is_duplicate = _find_duplicates(self.surfaces)
-        sides = map(np.concatenate, zip(*(shape.bounds for shape in shapes), strict=True))
-        bounds = ScreenBounds._make(sides)
-        self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
+        top, bottom, left, right = np.concatenate([shape.bounds for shape in shapes], axis=1)
+        top = np.where(self.is_duplicate, np.inf, top)
+        self.bounds = ScreenBounds(top=top, bottom=bottom, left=left, right=right)
         self.depth_complexity = self.bounds.compute_depth_complexity(self.frame)
         self.visible_pixels = self.bounds.find_visible_pixels(self.frame)
         self.packet_width = _choose_packet_width(self.frame, coordinate_bound.size)
@@ -192,7 +192,7 @@ class PreparedScene:
         shapes = self._all_shapes
         sides = [shape.find_light_side(shape.objects.list_indices(), (x, y, z)) for shape in shapes]
         boxes = [shape.compute_bounding_boxes() for shape in shapes]
-        box_min, box_max = (np.concatenate(corner, axis=1) for corner in zip(*boxes, strict=True))
+        box_min, box_max = np.concatenate(boxes, axis=2)
         is_visible = self.bounds.is_in_picture(self.frame)
         return Lights(
             position=positions,
