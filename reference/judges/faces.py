@@ -175,6 +175,7 @@ class Faces:
         self._refuse_impossible_scenes(sides)
         self._set_numbers_of_faces(sides)
         self._set_half_spaces_of_faces(sides)
+        self._set_heights(sides)
         self._set_visibility(sides)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(sides)
@@ -222,7 +223,7 @@ class Faces:
         self.bounding_box = object_bounds[:, :, self.object_index]
 
     def _set_half_spaces_of_faces(self, sides: _BoxSides) -> None:
-        """Set `linear_coef`, `root_coef`, and all half-spaces except those of shadows."""
+        """Set `linear_coef`, `root_coef`, `face_equation` and `rim_half_spaces`."""
         axes, center, power, offset = self.frame.axes, self.center, self.eye_power, sides.offset
         self.linear_coef = _append_sides(center / power, axes[:, :, None, None] / offset)
         self.root_coef = _append_sides(1 / power, 0 * offset)
@@ -237,8 +238,13 @@ class Faces:
         rim = half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
         no_rim = np.zeros((5, 4, self.sphere_count))
         self.rim_half_spaces = _append_sides(no_rim, rim.repeat(2, axis=3))
+
+    def _set_heights(self, sides: _BoxSides) -> None:
+        """Set `height_half_space`."""
         light_or_eye = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
-        height = np.sign(offset) * (sides.position - light_or_eye[:, :, None, None])
+        # A height above the plane of a side is positive on the eye's side.  It is the same for all
+        # rays, so n = 0.
+        height = np.sign(sides.offset) * (sides.position - light_or_eye[:, :, None, None])
         side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
         sphere_height = _compute_height_half_spaces(
             self.center, self.radius, self.eye_power, self.light_position
@@ -260,14 +266,17 @@ class Faces:
     def _set_shadow_volumes(self, sides: _BoxSides) -> None:
         """Set `shadow_volume` and `has_shadow_edge`."""
         light_position = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
-        # Corners of the boxes relative to the eye, along the scene's axes.
-        low, high = sides.offset[:, :1], sides.offset[:, 1:]
-        to_low, to_high = low - light_position, high - light_position
+        # Corners of the boxes relative to the eye, and to the lights, along the scene's axes.
+        low = sides.offset[:, :1]
+        high = sides.offset[:, 1:]
+        to_low = low - light_position
+        to_high = high - light_position
         cone_normal = np.array(find_edge_planes(to_low.reshape(3, -1), to_high.reshape(3, -1)))
         # A flat box is edge-on if the light is in its plane.
         is_edge_on = (to_low == 0) & (to_high == 0)
         is_on_plane = (to_low == 0) | (to_high == 0)
-        side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
+        # 1 if only the low side faces the light, -1 if only the high side does, 0 if neither does.
+        side_sign = (to_low >= 0) * 1.0 - (to_high <= 0)
         side_normal = np.eye(3)[:, :, None, None] * side_sign
         normal = np.append(side_normal, cone_normal.reshape(3, 6, *to_low.shape[1:]), axis=1)
         # Each plane touches the box, so b is minus the minimum of n.x over the corners.  The
@@ -284,12 +293,13 @@ class Faces:
     def _set_unlit_faces(self) -> None:
         """Set `is_unlit`."""
         is_eye_inside, lights = self.prepared_scene.is_eye_inside, self.prepared_lights
-        boxes = self.boxes
         # `side` is positive for a light outside an object, negative inside, 0 on a side of a box.
         # In `lights.side`, a light on a side counts as outside.
-        side, (light_x, light_y, light_z) = lights.side.copy(), lights.position.T[:, :, None]
-        box_index = boxes.objects.list_indices()
-        side[:, box_index] *= boxes.measure_distance(box_index, (light_x, light_y, light_z)) != 0
+        side = lights.side.copy()
+        box_index = self.boxes.objects.list_indices()
+        light_x, light_y, light_z = lights.position.T[:, :, None]
+        distance = self.boxes.measure_distance(box_index, (light_x, light_y, light_z))
+        side[:, box_index] *= distance != 0
         is_separated = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # In a box, the eye sees inner sides, which a light on or outside the box cannot reach.
         is_unlit = is_separated | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
