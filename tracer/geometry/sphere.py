@@ -314,18 +314,20 @@ class Spheres(Shape):
     def compute_inverse_t(
         self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
     ) -> Shaped[Floats, "m n"]:
-        """See `Shape.compute_inverse_t`; for a ray d that misses its sphere, 1 / t = k . d.
+        """See `Shape.compute_inverse_t`.
 
         A ray d meets the sphere with the centre C at t d, where 1 / t = k . d + sqrt((k . d)^2 -
-        w d^2), with k = C / P, w = 1 / P and the power P of the eye.  This is the near intersection
-        or, if the eye is inside (P < 0), the far one.
+        w d^2).  Here, k = C / P, w = 1 / P, and P is the power of the eye.  This is the near
+        intersection or, if the eye is inside (P < 0), the far one.  For a ray that misses the
+        sphere, the square root is left out.
         """
         sphere_index = self.objects.to_local(object_index)
         power, center = self.power[sphere_index], take(self.from_eye, sphere_index)
         squared_length = dot(ray, ray)
-        inverse_t: Floats = dot(map_xyz(lambda component: component / power, center), ray)
-        radicand = inverse_t**2 - 1 / power * squared_length
-        inverse_t += np.sqrt(np.maximum(radicand, 0))
+        k = map_xyz(lambda component: component / power, center)
+        k_dot_ray = dot(k, ray)
+        radicand = k_dot_ray**2 - 1 / power * squared_length
+        inverse_t = k_dot_ray + np.sqrt(np.maximum(radicand, 0))
         if not power.all():
             # If the eye is on the sphere, the ray leaves it where 1 / t = d^2 / (2 C . d).
             inverse_t = np.where(power == 0, squared_length / (2 * dot(center, ray)), inverse_t)
@@ -337,7 +339,7 @@ class Spheres(Shape):
         ray: Shaped[Triple, "#m n"],
         inverse_t: Shaped[Floats, "m n"],
     ) -> Shaped[Triple, "m n"]:
-        # The vector from the centre C to the point t * ray, divided by t.
+        # The vector from the centre to the point t * ray, divided by t.
         center = take(self.from_eye, self.objects.to_local(object_index))
         return map_xyz(np.subtract, ray, scale(center, inverse_t))
 
