@@ -67,6 +67,13 @@ def test_an_offset_may_be_any_two_numbers():
         assert np.array_equal(render(build_scene(), offset=offset), image)  # type: ignore[arg-type]
 
 
+def test_an_offset_is_in_pixels_although_they_are_not_square():
+    scene = build_scene(20, 16, view_width=2, view_height=0.4)
+    image, shifted = render(scene), render(scene, offset=(3, 2))
+    assert len(np.unique(image)) > 20
+    np.testing.assert_allclose(shifted[:-2, :-3], image[2:, 3:], rtol=0, atol=1e-12)
+
+
 def test_png_data_of_a_scene():
     scene, file = build_scene(), io.BytesIO()
     write_png(file, render(scene, 4))

@@ -164,7 +164,9 @@ def test_exposure_of_a_small_picture_is_exact():
     image = np.zeros((9, 7, 3))
     image[:, 0] = 0.5
     image[:4, 1, 2] = 2
-    assert Exposure.from_radiance(image) == Exposure(63, lit_count=13, clipped_count=4)
+    exposure = Exposure.from_radiance(image)
+    assert exposure == Exposure(63, lit_count=13, clipped_count=4)
+    assert exposure.add(exposure) == Exposure(126, lit_count=26, clipped_count=8)
 
 
 def test_a_notebook_shows_an_explanation_as_text():
