@@ -81,7 +81,7 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
 
 
 def test_a_large_scene_among_many_is_shared(scenes, submitted, monkeypatch):
-    monkeypatch.setattr(batch, "_MAX_UNSHARED_SECONDS", 0.05)
+    monkeypatch.setattr(batch, "_MIN_SHARED_SECONDS", 0.05)
     write_ball(scenes[30], 4000, 2000)
     assert cli.main([*map(str, scenes), "--quiet"]) == 0
     assert {*submitted} == {batch._Tile, Job}

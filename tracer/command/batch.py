@@ -48,10 +48,10 @@ from tracer.scene.schema import SceneError
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SHRINK = "make the image smaller or take fewer samples"
 
-# Maximum estimated seconds of a picture that one process renders alone, while the others render
-# other scenes.  Sharing a picture takes longer in all, because each process prepares the scene: for
+# Minimum estimated seconds of a picture that all workers share although they could render other
+# scenes.  Sharing a picture takes longer in all, because each process prepares the scene: for
 # 10,000 objects, preparing takes as long as rendering 640 x 360 pixels.
-_MAX_UNSHARED_SECONDS = 1.0
+_MIN_SHARED_SECONDS = 1.0
 
 
 class Settings(NamedTuple):
@@ -141,7 +141,7 @@ class Batch:
 
 
 class _Run:
-    """One call of `Batch.render`: the list of its items, and how far they are."""
+    """The state of one call of `Batch.render`."""
 
     def __init__(self, batch: Batch, jobs: Sequence[Job], progress: Progress) -> None:
         self._settings = batch.settings
@@ -161,20 +161,20 @@ class _Run:
 
     def render_scenes(self) -> Iterator[Report]:
         """Render all scenes, and yield their reports in order."""
-        # At the end, too few scenes are left to occupy all workers.  So any large one among them is
-        # divided.
-        rest_count = len(self._jobs) % (self._pool.worker_count + 1)
-        limits = [_MAX_UNSHARED_SECONDS] * (len(self._jobs) - rest_count)
-        limits += [self._pool.sharing.min_seconds] * rest_count
-        items = [
-            job._replace(min_shared_seconds=limit)
-            for job, limit in zip(self._jobs, limits, strict=True)
-        ]
-        for report in self._distribution.process(items):
+        for report in self._distribution.process(self._list_items()):
             self._finished_count += 1
             self._pixel_count += report.pixel_count
             self._show_progress(0, 0)
             yield report
+
+    def _list_items(self) -> Iterator[Job]:
+        """List the scenes, each with the time from which all workers share its picture."""
+        # At the end, too few scenes are left to occupy all workers, so they share even small ones.
+        last_count = len(self._jobs) % (self._pool.worker_count + 1)
+        for index, job in enumerate(self._jobs):
+            is_one_of_last = index >= len(self._jobs) - last_count
+            min_seconds = self._pool.sharing.min_seconds if is_one_of_last else _MIN_SHARED_SECONDS
+            yield job._replace(min_shared_seconds=min_seconds)
 
     def _process(self, item: Job | _Tile) -> Report | EncodedTile:
         """Process an item in the main thread."""
@@ -190,8 +190,8 @@ class _Run:
             return Report(notices=(str(failure),))
 
     def _start_workers_if_worthwhile(self, render_job: RenderJob) -> None:
-        """Let workers take items if the remaining scenes, with that of `render_job`, take long."""
-        # The other scenes presumably take about as long.
+        """Let workers take items if the remaining scenes take long, `render_job` included."""
+        # The other scenes presumably take about as long as this one.
         seconds = render_job.seconds * (len(self._jobs) - self._finished_count)
         if seconds >= self._pool.sharing.min_seconds and self._distribution.executor is None:
             register_result_folders(job.output_path for job in self._jobs)

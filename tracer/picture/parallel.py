@@ -265,7 +265,6 @@ class Threads:
     """
 
     sharing = Sharing(min_seconds=0.02, min_tile_seconds=0.01)
-    worker_count: int
 
     def __init__(self, worker_count: int) -> None:
         self.worker_count = worker_count
@@ -304,7 +303,6 @@ class WorkerPool:
 
     # Processes take time to start, and to prepare the scene.
     sharing = Sharing(min_seconds=0.1, min_tile_seconds=0.02)
-    worker_count: int
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
         self.worker_count = worker_count

@@ -100,7 +100,8 @@ class RenderJob:
         A picture that is too small to be worth sharing is rendered in one thread.
         """
         is_shared = max_threads > 1 and self.seconds >= Threads.sharing.min_seconds
-        with closing(Threads(max_threads - 1 if is_shared else 0)) as pool:
+        thread_count = max_threads if is_shared else 1
+        with closing(Threads(thread_count - 1)) as pool:
             distribution = Distribution(
                 function=process_tile,
                 remote_function=process_tile,
