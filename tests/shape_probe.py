@@ -135,3 +135,27 @@ def find_hits(shape_type: type[Shape], seed: int) -> Hits:
         face_code=hit_data if shape.has_planar_faces else np.full(t.size, CURVED_FACE),
         tolerance=1e-12 * (shape.coordinate_bound.max() + np.abs(shape.frame.eye).sum()),
     )
+
+
+class Segments(NamedTuple):
+    """Segments near objects of one shape, in scene axes: 400 for each object."""
+
+    object_index: Ints
+    start: Triple
+    end: Triple
+    object_width: Floats  # width along x of the object of each segment
+
+
+def random_segments(shape: Shape, seed: int) -> Segments:
+    """Choose segments whose ends are often in the object, and seldom far away."""
+    rng = np.random.default_rng(seed)
+    low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
+    center, size = (low + high) / 2, high - low
+    start = center + rng.normal(size=low.shape) * size
+    end = center + rng.normal(size=low.shape) * size
+    return Segments(
+        object_index=shape.objects.list_indices().repeat(400),
+        start=(start[0], start[1], start[2]),
+        end=(end[0], end[1], end[2]),
+        object_width=size[0],
+    )

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from cylinder import Cylinder, Cylinders, PlainTracer, add_cylinders
 from probe import scene_of
-from shape_probe import find_hits, prepare, random_scene, scale_scene, trace
+from shape_probe import (
+    find_hits,
+    prepare,
+    random_scene,
+    random_segments,
+    scale_scene,
+    trace,
+)
 
 from reference.judges import plain
 from tracer import Box, Camera, Scene, render
@@ -222,30 +229,38 @@ def test_planes_of_faces_are_met_at_the_bounding_box(shape_type: type[Shape], se
 @EACH_SEED
 @np.errstate(all="ignore")
 def test_capsules_agree_with_their_segments(shape_type: type[Shape], seed: int) -> None:
-    shape, objects = prepare(shape_type, seed)
+    shape, _ = prepare(shape_type, seed)
+    object_index, start, end, _ = random_segments(shape, seed)
     rng = np.random.default_rng(seed)
-    object_index = objects.repeat(400)
-    low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
-    start, end = ((low + high) / 2 + rng.normal(size=low.shape) * (high - low) for _ in "se")
     radius = 0.1 * rng.random(object_index.size)
-    may_block, blocks_all = shape.test_capsules(object_index, tuple(start), tuple(end), radius)
-    light_side = shape.find_light_side(object_index, tuple(end))
-    grown = shape.occludes(object_index, tuple(start), tuple(end), light_side, radius)
-    assert not (grown & ~may_block).any()
+    may_block, blocks_all = shape.test_capsules(object_index, start, end, radius)
+    light_side = shape.find_light_side(object_index, end)
+    grown_occludes = shape.occludes(object_index, start, end, light_side, radius)
+    assert not (grown_occludes & ~may_block).any()
     assert may_block.any()
     # The test of `Shape` excludes nothing.
     assert may_block.all() == (shape_type.test_capsules is Shape.test_capsules)
     for _ in range(20):
-        offset = rng.normal(size=start.shape)
+        offset = rng.normal(size=(3, radius.size))
         offset *= radius * rng.random(radius.size) / np.linalg.norm(offset, axis=0)
-        hit = tuple(start + offset)
-        occludes = shape.occludes(object_index, hit, tuple(end), light_side)
+        hit = map_xyz(np.add, start, (offset[0], offset[1], offset[2]))
+        occludes = shape.occludes(object_index, hit, end, light_side)
         assert not (occludes & ~may_block).any()
         assert not (blocks_all & ~occludes).any()
-    tiny = shape.occludes(
-        object_index, tuple(start), tuple(end), light_side, -99 * np.ones(radius.size)
-    )
-    assert not tiny[light_side == OUTSIDE].any()
+
+
+@EACH_SHAPE
+@EACH_SEED
+@np.errstate(all="ignore")
+def test_an_object_that_shrinks_to_nothing_blocks_nothing(
+    shape_type: type[Shape], seed: int
+) -> None:
+    shape, _ = prepare(shape_type, seed)
+    object_index, start, end, _ = random_segments(shape, seed)
+    light_side = shape.find_light_side(object_index, end)
+    growth = np.full(object_index.size, -99.0)
+    occludes = shape.occludes(object_index, start, end, light_side, growth)
+    assert not occludes[light_side == OUTSIDE].any()
 
 
 @EACH_SHAPE
@@ -289,13 +304,10 @@ def test_no_power_of_a_length_is_above_the_fourth(shape_type: type[Shape]) -> No
         (shape,) = (shape for shape in prepared.shapes if isinstance(shape, shape_type))
         objects = shape.objects.list_indices()
         _, _, t, hit_data = trace(shape, objects, 0)
-        rng = np.random.default_rng(0)
-        low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
-        start, end = ((low + high) / 2 + rng.normal(size=low.shape) * (high - low) for _ in "se")
-        object_index = objects.repeat(400)
-        side = shape.find_light_side(object_index, tuple(end))
-        segments = object_index, tuple(start), tuple(end)
-        radius = 0.1 * (high - low)[0]
+        object_index, start, end, object_width = random_segments(shape, 0)
+        side = shape.find_light_side(object_index, end)
+        segments = object_index, start, end
+        radius = 0.1 * object_width
         x_range = shape.find_x_range(objects, np.full(objects.size, 20.5), 0.0)
         results.append(
             [
