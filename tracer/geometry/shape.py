@@ -439,7 +439,7 @@ def _compute_plane_footprints(
 ) -> Shaped[Floats, "n"]:
     """Compute the radius of the part of a plane that is visible in each cell.
 
-    The arguments are those of `Shape.compute_footprint_radii`.
+    `Shape.compute_footprint_radii` explains the arguments.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))

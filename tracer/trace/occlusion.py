@@ -107,7 +107,7 @@ class _EdgeSet:
     """A set of shadow edges: triples of a light, a hit, and an object that casts a shadow near it.
 
     A pair of a light and a hit is *crowded* if it has more than `_MAX_EDGES_PER_HIT` edges.  The
-    set marks crowded pairs, and drops edges of theirs.
+    set marks the pairs that are found to be crowded, and drops their edges.
     """
 
     is_crowded: Shaped[Bools, "lights hits"]

@@ -50,8 +50,8 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
 def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
     """Find the first hit of the ray through each sample, and the hidden hits behind it.
 
-    The first result is that of `find_nearest_hits`.  The second contains the hits of the same rays
-    on all objects that are farther away: any number for each sample.
+    The first result is what `find_nearest_hits` returns.  The second contains the hits of these
+    rays on all objects that are farther away, so a sample may have any number of them.
     """
     groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_t(samples, groups)

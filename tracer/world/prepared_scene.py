@@ -67,7 +67,7 @@ class Lights(NamedTuple):
 
     @property
     def near_position(self) -> Shaped[Floats, "lights 3"]:
-        """Positions of the lights; those of distant lights are moved closer, as in `grid`."""
+        """Positions of the lights, where distant lights are moved closer, as in `grid`."""
         return self.position if self.grid is None else self.grid.light_position[:, :, 0].T
 
     @property
@@ -91,9 +91,8 @@ class PreparedScene:
     surfaces: Surfaces
     frame: CameraFrame
     shapes: tuple[Shape, ...]  # those with at least one object, in the order of their indices
-    bounds: (
-        ScreenBounds  # bounding rectangles in the picture; those of duplicates have top > bottom
-    )
+    # Bounding rectangles in the picture.  The rectangle of a duplicate has top > bottom.
+    bounds: ScreenBounds
     are_rows_bounded_by_ends: bool  # whether `Shape.are_rows_bounded_by_ends` for all shapes
     is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
@@ -214,7 +213,7 @@ def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
 
 
 def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
-    """Find the objects whose kind, position and size are those of an object earlier in the file."""
+    """Find the objects that have the kind, position and size of an object earlier in the file."""
     is_duplicate = np.zeros(len(surfaces), dtype=np.bool_)
     for kind, columns in surfaces.tables.items():
         objects = get_object_range(surfaces, kind).slice
