@@ -115,8 +115,9 @@ def test_a_command_with_workers_takes_little_more_address_space(tmp_path):
     script = """if True:
         import re, sys
         from pathlib import Path
-        from tracer.command import batch, cli
-        batch.PROCESSES = batch.PROCESSES._replace(min_seconds=0)
+        from tracer.command import cli
+        from tracer.picture.parallel import WorkerPool
+        WorkerPool.sharing = WorkerPool.sharing._replace(min_seconds=0)
         cli.main(sys.argv[1:])
         has_workers = "concurrent.futures.process" in sys.modules
         status = Path("/proc/self/status").read_text()
