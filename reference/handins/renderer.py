@@ -252,6 +252,7 @@ class MistakeRenderer:
         ]
         pixel_index = self.sample_index[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
+        # By picture.  The mistakes that are always paired are groups of their own, by keyword.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.ALWAYS_PAIRED

@@ -222,15 +222,22 @@ class Submission:
         return compare_levels(pictures, self.codes[:, pixel_index])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
-        """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them."""
+        """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
+
+        A cause with which the whole picture is black leaves all wrong pixels unexplained, because
+        they cannot tell why they are black.
+        """
         cached_counts, limits = self._counts_by_cause, (self.tolerance, self.format_noise)
-        if new_causes := [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]:
-            differences = self._compare_levels(
-                new_causes, self._final.pixel_index, self._final.width
-            )
-            for cause, difference in zip(new_causes, differences, strict=True):
-                counts = ((difference > limit) @ self._final.weights for limit in limits)
-                cached_counts[cause] = [*map(round, counts)]
+        new_causes = [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]
+        if not new_causes:
+            return
+        pixel_index, weights = self._final.pixel_index, self._final.weights
+        differences = self._compare_levels(new_causes, pixel_index, self._final.width)
+        differences_from_black = self.codes[:, pixel_index].max(axis=0)
+        for cause, difference in zip(new_causes, differences, strict=True):
+            counts = [round(float((difference > limit) @ weights)) for limit in limits]
+            is_black = bool((difference == differences_from_black).all())
+            cached_counts[cause] = [self.wrong_count] * 2 if is_black else counts
 
     def _count_unexplained(self, cause: Cause) -> int:
         """Count the pixels that a cause leaves unexplained; an estimate if the picture is large."""

@@ -63,6 +63,9 @@ _TILE_SIDES = (128, 100, 64, 50, 32, 25, 20, 16, 10, 8)
 _PALETTE_SIZE = 256
 # A palette changes nearly all levels by at most this much.
 _MAX_PALETTE_LEVELS = 32
+# A palette makes some levels higher and others lower: their mean changes by at most this share of
+# the mean size of the changes.
+_MAX_PALETTE_BIAS = 0.5
 # How programs scale pictures.
 _SCALINGS = (
     Image.Resampling.NEAREST,
@@ -345,13 +348,18 @@ def is_smoothed(
 def has_palette(
     submitted_codes: Shaped[Codes, "h w 3"], reference_codes: Shaped[Codes, "h w 3"]
 ) -> bool:
-    """Test whether a picture is the reference picture, reduced to few colours."""
+    """Test whether a picture is the reference picture, reduced to few colours.
+
+    Shading in steps, which also has few colours, is darker everywhere.
+    """
     color_counts = [
         len(np.unique(codes.reshape(-1, 3), axis=0)) for codes in (submitted_codes, reference_codes)
     ]
     levels = compare_levels(submitted_codes, reference_codes, axis=2)
+    changes = submitted_codes.astype(np.int16) - reference_codes
     return bool(
-        color_counts[0] <= _PALETTE_SIZE
+        abs(changes.mean()) <= _MAX_PALETTE_BIAS * np.abs(changes).mean()
+        and color_counts[0] <= _PALETTE_SIZE
         and color_counts[1] >= 2 * color_counts[0]
         and (levels <= _MAX_PALETTE_LEVELS).mean() >= 1 - _MAX_WRONG_SHARE
     )

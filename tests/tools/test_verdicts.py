@@ -36,6 +36,8 @@ NO_FALSE_ALARM = [
     ("four-spheres", "KS * shine", "1.03 * KS * shine"),
     ("highlights", "** EXPONENT", "** (EXPONENT + 0.5)"),
     ("two-boxes", "return codes", "return np.maximum(codes, 2) - np.uint8(2)"),
+    # Shading in steps has few colours, but all of them are darker.
+    ("two-boxes", "KD * np.maximum(nl, 0)", "KD * np.floor(4 * np.maximum(nl, 0)) / 4"),
 ]
 
 
@@ -77,6 +79,13 @@ def test_black_and_hidden_surfaces_are_told_as_such() -> None:
     assert diagnose_changed("four-spheres", two).kind == "black-surfaces"
     hidden = diagnose_changed("two-boxes", ("new = t < best", "new = (t < best) & (k != 1)"))
     assert hidden.kind == "hidden-surface-1"
+
+
+def test_no_cause_of_a_nearly_black_picture_is_told() -> None:
+    codes = np.zeros_like(reference("two-boxes").codes)
+    codes[::7, ::7] = reference("two-boxes").codes[::7, ::7]
+    diagnosis = reference("two-boxes").diagnose(Picture(codes))
+    assert (diagnosis.kind, diagnosis.hint) == ("unknown", "")
 
 
 def test_outward_normals_do_not_change_the_diagnosis() -> None:
