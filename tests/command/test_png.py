@@ -12,6 +12,7 @@ from PIL import Image
 
 from tracer import to_codes, write_png
 from tracer.picture import png
+from tracer.picture.linear import encode_float32, write_exr
 from tracer.picture.png import compress_tile, write_tiles
 
 
@@ -119,6 +120,11 @@ def test_tiles_make_the_picture(rows, columns):
     )
     write_tiles(file := io.BytesIO(), 50, 300, tiles)
     assert (read_verified_codes(file) == to_codes(image)).all()
+
+
+def test_an_exr_file_needs_all_pixels():
+    with pytest.raises(ValueError, match="tiles do not make up a picture of 4 x 3 pixels"):
+        write_exr(io.BytesIO(), 4, 3, [encode_float32(np.zeros((2, 4, 3)))])
 
 
 @pytest.mark.parametrize("size", [(2, 4), (4, 4), (3, 5)])

@@ -74,17 +74,23 @@ def test_watch_waits_until_a_file_is_complete(scene, monkeypatch):
 
 
 def test_watch_sees_a_save_that_changes_only_the_content(scene, monkeypatch):
-    """Two saves within the resolution of file times leave the same time, and maybe length."""
-    texts = [scene.read_text().replace("3 4 5", light) for light in ("3 4 5", "5 4 3", "4 4 4")]
+    """Two saves within the resolution of file times leave the same time, and maybe length.
+
+    The last save is much later, and changes the time.
+    """
+    lights = "3 4 5", "5 4 3", "4 4 4", "3 3 3"
+    texts = [scene.read_text().replace("3 4 5", light) for light in lights]
     old_time, rendered = scene.stat().st_mtime_ns, []
 
-    def save(text: str) -> None:
+    def save(text: str, seconds: int = 0) -> None:
         scene.write_text(text)
-        os.utime(scene, ns=(old_time, old_time))
+        time = old_time + seconds * 10**9
+        os.utime(scene, ns=(time, time))
 
-    times = iter([0, 0.1, 0.2, 0.3, 2.0, 2.1, 20.0, 20.1, 40.0, 40.1])
+    times = iter([0, 0.1, 0.2, 0.3, 2.0, 2.1, 20.0, 20.1, 40.0, 40.1, 60.0, 60.1])
     steps = [dict, partial(save, texts[1]), dict, partial(save, texts[2]), dict, dict]
-    following = iter([*steps, scene.unlink, sys.exit])
+    later_steps = [partial(save, texts[3], 20), dict, scene.unlink, sys.exit]
+    following = iter([*steps, *later_steps])
     monkeypatch.setattr(cli, "monotonic", lambda: next(times))
     monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
 

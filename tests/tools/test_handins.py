@@ -15,6 +15,7 @@ import student
 from known_mistakes import render_with_mistakes
 from PIL import Image
 
+from reference import pictures
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Reference
 from reference.handins.folders import list_hand_ins, match_hand_ins
@@ -348,6 +349,16 @@ def test_mistakes_are_found_after_jpeg_compression(tmp_path: Path, made: str) ->
     right = Picture(reference("four-spheres").codes)
     Image.fromarray(right.codes).save(path, quality=85)
     assert Reference(read_picture(path)).diagnose(right).kind == "format"
+
+
+def test_a_jpeg_encoder_compresses_bands_like_the_whole_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes = reference("room").codes
+    Image.fromarray(codes).save(file := BytesIO(), "JPEG", quality=70, subsampling=2)
+    image = Image.open(file)
+    monkeypatch.setattr(pictures, "_PIXELS_PER_BAND", 1)
+    assert np.array_equal(pictures._make_jpeg_encoder(image)(codes), np.asarray(image))
 
 
 def test_jpeg_compression_does_not_explain_a_single_wrong_pixel() -> None:
