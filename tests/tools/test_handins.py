@@ -15,15 +15,12 @@ import student
 from known_mistakes import render_with_mistakes
 from PIL import Image
 
-from reference import pictures
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Reference
 from reference.handins.folders import list_hand_ins, match_hand_ins
 from reference.handins.formulas import collect_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, sort_causes
-from reference.handins.search import Submission
-from reference.handins.symptoms import is_explained_by_rounding, is_jpeg_of_reference
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
 from tracer import (
@@ -240,14 +237,6 @@ def test_single_levels() -> None:
     assert reference("room").diagnose(Picture(codes)).kind == "levels-up"
 
 
-@np.errstate(all="ignore")
-def test_rounding_does_not_explain_a_difference_of_several_levels() -> None:
-    renderer = Reference(replace(scene("room"), width=10, height=10))._get_renderer(10, 10)
-    codes = renderer.reference_codes.copy()
-    codes[:, 55] ^= 4
-    assert not is_explained_by_rounding(Submission(codes, renderer))
-
-
 def test_an_incomplete_explanation_is_a_hint() -> None:
     """A shift, truncated levels, and a third mistake that is not in the table."""
     source = student.source_with("shift-right", "levels-truncated")
@@ -349,23 +338,6 @@ def test_mistakes_are_found_after_jpeg_compression(tmp_path: Path, made: str) ->
     right = Picture(reference("four-spheres").codes)
     Image.fromarray(right.codes).save(path, quality=85)
     assert Reference(read_picture(path)).diagnose(right).kind == "format"
-
-
-def test_a_jpeg_encoder_compresses_bands_like_the_whole_picture(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    codes = reference("room").codes
-    Image.fromarray(codes).save(file := BytesIO(), "JPEG", quality=70, subsampling=2)
-    image = Image.open(file)
-    monkeypatch.setattr(pictures, "_PIXELS_PER_BAND", 1)
-    assert np.array_equal(pictures._make_jpeg_encoder(image)(codes), np.asarray(image))
-
-
-def test_jpeg_compression_does_not_explain_a_single_wrong_pixel() -> None:
-    gray = np.full((16, 16, 3), 128, np.uint8)  # JPEG compression does not change it
-    codes = gray.copy()
-    codes[5, 5] = 255
-    assert not is_jpeg_of_reference(codes, gray)
 
 
 def test_jpeg_compression_is_recognised_in_other_formats() -> None:

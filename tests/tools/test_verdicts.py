@@ -1,12 +1,18 @@
 """The grader says nothing false of mistakes that it does not know, and tells symptoms in words."""
 
+from dataclasses import replace
+from io import BytesIO
+
 import numpy as np
 import pytest
 import student
 from PIL import Image
 from test_handins import reference, scene
 
-from reference.handins.diagnosis import Diagnosis
+from reference import pictures
+from reference.handins.diagnosis import Diagnosis, Reference
+from reference.handins.search import Submission
+from reference.handins.symptoms import is_explained_by_rounding, is_jpeg_of_reference
 from reference.pictures import Codes, Picture
 from tracer import render, to_codes
 
@@ -199,3 +205,28 @@ def test_symptoms_are_told(kind: str) -> None:
 def test_antialiased_pictures_are_told() -> None:
     codes = to_codes(render(scene("one-box"), samples=64))
     assert reference("one-box").diagnose(Picture(codes)).kind == "smoothed"
+
+
+@np.errstate(all="ignore")
+def test_rounding_does_not_explain_a_difference_of_several_levels() -> None:
+    renderer = Reference(replace(scene("room"), width=10, height=10))._get_renderer(10, 10)
+    codes = renderer.reference_codes.copy()
+    codes[:, 55] ^= 4
+    assert not is_explained_by_rounding(Submission(codes, renderer))
+
+
+def test_jpeg_compression_does_not_explain_a_single_wrong_pixel() -> None:
+    gray = np.full((16, 16, 3), 128, np.uint8)  # JPEG compression does not change it
+    codes = gray.copy()
+    codes[5, 5] = 255
+    assert not is_jpeg_of_reference(codes, gray)
+
+
+def test_a_jpeg_encoder_compresses_bands_like_the_whole_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes = reference("room").codes
+    Image.fromarray(codes).save(file := BytesIO(), "JPEG", quality=70, subsampling=2)
+    image = Image.open(file)
+    monkeypatch.setattr(pictures, "_PIXELS_PER_BAND", 1)
+    assert np.array_equal(pictures._make_jpeg_encoder(image)(codes), np.asarray(image))
