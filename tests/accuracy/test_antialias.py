@@ -36,6 +36,7 @@ from tracer import (
     render,
 )
 from tracer.antialias import refine
+from tracer.antialias.cells import Cells
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.smooth import CenterSamples, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import Floats
@@ -230,6 +231,24 @@ def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
 def test_no_radiance_is_negative(seed):
     # A point that represents a narrow region may have a negative weight.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0
+
+
+def test_quarters_of_cells():
+    cells = Cells(
+        width=1.0,
+        samples_per_side=7,
+        tolerance=0.1,
+        center_x=np.array([0.5, 1.5, 2.5]),
+        center_y=np.full(3, 0.5),
+        pair_cell_index=np.array([0, 1, 2, 2]),
+        pair_object_index=np.array([10, 11, 12, 13]),
+    )
+    quarters = cells.divide(np.array([2, 0]))
+    assert (quarters.width, quarters.samples_per_side, quarters.tolerance) == (0.5, 4, 0.1)
+    assert quarters.center_x.tolist() == [2.25, 2.75, 2.25, 2.75, 0.25, 0.75, 0.25, 0.75]
+    assert quarters.center_y.tolist() == [0.25, 0.25, 0.75, 0.75] * 2
+    pairs = zip(quarters.pair_cell_index.tolist(), quarters.pair_object_index.tolist(), strict=True)
+    assert sorted(pairs) == sorted([*product(range(4), (12, 13)), *product(range(4, 8), (10,))])
 
 
 def test_the_mean_beside_another_surface_is_not_corrected():
