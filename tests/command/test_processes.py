@@ -151,6 +151,24 @@ def limit_processes(limit: int) -> None:
         os.setresuid(random.randrange(100_000, 200_000), 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("options", "count"), [([], 3), (["--processes", "2"], 2), (["--processes", "9"], 3)]
+)
+def test_the_number_of_processes_is_at_most_that_of_processors(
+    options, count, monkeypatch, tmp_path
+):
+    counts, start_batch = [], cli.Batch
+
+    def record_batch(settings, process_count):
+        counts.append(process_count)
+        return start_batch(settings, 1)
+
+    monkeypatch.setattr(cli, "count_processors", lambda: 3)
+    monkeypatch.setattr(cli, "Batch", record_batch)
+    assert cli.main([str(write_ball(tmp_path / "ball.xml", 4, 3)), "--quiet", *options]) == 0
+    assert counts == [count]
+
+
 @needs_two
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have other limits")
 @pytest.mark.parametrize("limit", range(1, 7))
