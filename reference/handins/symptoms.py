@@ -295,11 +295,12 @@ def _describe_black_lines(
     wrong_lines = np.flatnonzero(np.logical_or.reduce(is_wrong, axis=1))
     black_lines = {*np.flatnonzero(np.logical_and.reduce(is_black, axis=1)).tolist()}
     first, last = int(wrong_lines[0]), int(wrong_lines[-1])
+    # Rendering may have ended within a line.
+    if is_black.ravel()[is_wrong.ravel().argmax() :].all():
+        return f"it is black from {noun} {first} on"
     if not black_lines.issuperset(wrong_lines.tolist()):
         return ""
     # Lines in between may be black in the right picture, too.
-    if black_lines.issuperset(range(first, len(is_black))):
-        return f"it is black from {noun} {first} on"
     if black_lines.issuperset(range(first, last + 1)):
         return f"{noun}s {first} to {last} are black"
     if {*np.diff(wrong_lines).tolist()} == {2}:

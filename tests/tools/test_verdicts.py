@@ -175,12 +175,18 @@ def blacken_tiles(codes: Codes) -> Codes:
     return codes
 
 
+def end_within_row(codes: Codes) -> Codes:
+    codes[40, 99:] = codes[41:] = 0
+    return codes
+
+
 # For each kind: how a right picture is changed, and what the grader says.
 SYMPTOMS = {
     "unrendered": (
         lambda a: np.vstack([a[:41], 0 * a[41:]]),
         "except that it is black from row 41 on.",
     ),
+    "ended within a row": (end_within_row, "except that it is black from row 40 on."),
     "tiles": (blacken_tiles, "except that 2 tiles of 16 x 16 pixels are black."),
     "scaled": (
         lambda a: np.asarray(Image.fromarray(a).resize((90, 90))),
