@@ -12,7 +12,11 @@ from test_handins import reference, scene
 from reference import pictures
 from reference.handins.diagnosis import Diagnosis, Reference
 from reference.handins.search import Submission
-from reference.handins.symptoms import is_explained_by_rounding, is_jpeg_of_reference
+from reference.handins.symptoms import (
+    find_wrong_edge,
+    is_explained_by_rounding,
+    is_jpeg_of_reference,
+)
 from reference.pictures import Codes, Picture
 from tracer import render, to_codes
 
@@ -219,6 +223,15 @@ def test_rounding_does_not_explain_a_difference_of_several_levels() -> None:
     codes = renderer.reference_codes.copy()
     codes[:, 55] ^= 4
     assert not is_explained_by_rounding(Submission(codes, renderer))
+
+
+def test_an_edge_is_wrong_only_if_nothing_else_is() -> None:
+    is_wrong = np.zeros((9, 9), dtype=np.bool_)
+    assert find_wrong_edge(is_wrong) == ""
+    is_wrong[2:4, -1] = True
+    assert find_wrong_edge(is_wrong) == "last column"
+    is_wrong[5, 5] = True
+    assert find_wrong_edge(is_wrong) == ""
 
 
 def test_jpeg_compression_does_not_explain_a_single_wrong_pixel() -> None:
