@@ -370,8 +370,8 @@ class _Picture:
 
         For a cell that covers several pixels, this is the upper left pixel.
         """
-        # Distance from a cell's centre to a point in its upper left pixel, along both axes.
-        shift = cells.width / 2 if cells.width > 1 else 0
+        # From a cell's centre to its upper left corner, along both axes.  Both are exact.
+        shift = cells.width / 2
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.error_bound.shape[1] + column)
 
