@@ -224,8 +224,8 @@ class Submission:
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
         """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
 
-        A cause with which the whole picture is black leaves all wrong pixels unexplained, because
-        they cannot tell why they are black.
+        A cause that explains black pixels alone, in a picture that has others, leaves all wrong
+        pixels unexplained, because black pixels cannot tell why they are black.
         """
         cached_counts, limits = self._counts_by_cause, (self.tolerance, self.format_noise)
         new_causes = [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]
@@ -233,11 +233,12 @@ class Submission:
             return
         pixel_index, weights = self._final.pixel_index, self._final.weights
         differences = self._compare_levels(new_causes, pixel_index, self._final.width)
-        differences_from_black = self.codes[:, pixel_index].max(axis=0)
+        is_bright = self.codes[:, pixel_index].max(axis=0) > self.tolerance
         for cause, difference in zip(new_causes, differences, strict=True):
             counts = [round(float((difference > limit) @ weights)) for limit in limits]
-            is_black = bool((difference == differences_from_black).all())
-            cached_counts[cause] = [self.wrong_count] * 2 if is_black else counts
+            if is_bright.any() and (difference[is_bright] > self.tolerance).all():
+                counts[0] = self.wrong_count
+            cached_counts[cause] = counts
 
     def _count_unexplained(self, cause: Cause) -> int:
         """Count the pixels that a cause leaves unexplained; an estimate if the picture is large."""
