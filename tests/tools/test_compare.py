@@ -325,7 +325,7 @@ def test_harmful_names_and_sizes(tmp_path: Path, compare: Compare) -> None:
 def test_bugs_and_lack_of_memory_have_different_messages(
     error: Exception, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
-    monkeypatch.setattr("reference.figures.measure_differences", Mock(side_effect=error))
+    monkeypatch.setattr("reference.compare.compare_codes", Mock(side_effect=error))
     right = save(tmp_path / "a.png", CODES)
     assert compare(right, SCENE) == (3, [], f"{right}: cannot be compared: {reason}\n")
 
