@@ -58,7 +58,7 @@ def run(module_name: str) -> NoReturn:
     # the variable when it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Collect garbage rarely: importing creates tens of thousands of objects, but no garbage.
-    gc.set_threshold(50_000)
+    gc.set_threshold(100_000)
     exit_status = _flush_streams(_import_and_call_main(module_name))
     # An orderly exit would destroy NumPy's modules one by one, which takes a tenth as long as
     # rendering a small picture.
@@ -68,6 +68,9 @@ def run(module_name: str) -> NoReturn:
 def _import_and_call_main(module_name: str) -> int:
     """Import a module, call its function `main`, and return the exit status of the command."""
     try:
+        # First, because deep inside other imports it may take 6 ms longer: Python 3.11 requests
+        # memory for its stack anew in each call at certain depths.
+        import_module("numpy")
         result = attempt(import_module(module_name).main)
         return result.exit_status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
