@@ -1,10 +1,9 @@
 """Share work between this process and workers.
 
 The work is a list of *items*.  This process and the workers take items from the front of the list.
-The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  The
-solution has two parts.  (1) Whoever processes an item, the result is the same.  (2) When no item is
-left to take, this process repeats those that the workers have not finished.  So a worker that fails
-costs time, but no result.
+Workers may fail: they are killed, stop, run out of memory, or never answer.  This process therefore
+repeats whatever the workers have not finished, which is possible because an item has the same
+result whoever processes it.  So a worker that fails costs time, but no result.
 
 Workers are usually processes.  Threads would often wait for each other, because only one at a time
 may run Python code between two operations on arrays: the one that holds Python's global interpreter
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-_Tasks: TypeAlias = "Set[_Task[Any, Any]]"  # those of one call of `Distribution.process`
+_Tasks: TypeAlias = "Set[_Task[Any, Any]]"  # the tasks of one call of `Distribution.process`
 
 # Maximum number of submitted but unfinished items for each worker: enough to keep the worker busy.
 _ITEMS_PER_WORKER = 2
@@ -52,9 +51,9 @@ _ITEMS_PER_WORKER = 2
 # Maximum number of times that a pool starts workers: it starts new ones if a worker has died.
 _MAX_STARTS = 4
 
-# Maximum time, in seconds, to wait for the end of a pool's workers, and then of the threads that
-# manage it.  Usually both end within milliseconds.  But a worker may be busy with a large array,
-# and if one has died while it sent a result, a thread waits for the rest.
+# Maximum time, in seconds, to wait for the end of a pool's workers, and then for the end of the
+# threads that manage the pool.  Usually both end within milliseconds.  But a worker may be busy
+# with a large array, and if a worker has died while it sent a result, a thread waits for the rest.
 _MAX_END_SECONDS = 0.5
 
 
@@ -72,8 +71,8 @@ def choose_thread_count(max_threads: SupportsIndex | None) -> int:
     """Choose how many threads work on a task of the calling thread, itself included.
 
     Without `max_threads`, all processors are used, but only for the main thread of a program that
-    `multiprocessing` has not started.  All others presumably share the processors already: if each
-    thread of a pool started one thread for each processor, they would be in each other's way.
+    `multiprocessing` has not started.  Other threads presumably share the processors already.  If
+    each thread of a pool started one thread for each processor, they would be in each other's way.
 
     Raise TypeError if `max_threads` is not an integer, and ValueError if it is less than 1.
     """
@@ -110,19 +109,17 @@ class Executor(Protocol):
 
 @dataclass(eq=False)
 class _Task(Generic[_Item, _Result]):
-    """An item, and its result once it has been processed.  All tasks are different dict keys."""
+    """An item and what is known about it; compared by identity, so equal items are told apart."""
 
     item: _Item
-    results: tuple[_Result, ...] = ()  # empty, or one result, which may be None
-    seconds: float = 0.0  # that this process took for the item; 0 if it has not processed it
+    # The result, from the time when it is known until it is yielded.  The tuple tells a result of
+    # None from no result.
+    results: tuple[_Result, ...] = ()
+    seconds: float = 0.0  # time that this process took for the item; 0 if it has not processed it
 
 
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and the workers of an executor process together.
-
-    This process repeats an item if the executor has failed to process it.  It also does so if no
-    item is left to take; then it begins with the items that no worker has begun.  Before it repeats
-    an item that a worker has begun, it waits for as long as its own slowest item took.
 
     While this process is busy with a large item, it can divide the item into smaller ones: a nested
     call of `process` puts these in front of all other items.
@@ -130,10 +127,13 @@ class Distribution(Generic[_Item, _Result]):
     Parameters
     ----------
     function
-        Processes an item in this process.  Its exceptions end the iteration over `process`.
+        Called with an item in this process; returns the result.  Its exceptions end the iteration
+        over `process`.
     remote_function
-        Processes an item in a worker.  If workers are other processes, the function, the items and
-        the results must be picklable.
+        Called with an item in a worker.  Its result is yielded in place of that of `function`,
+        which may differ in form: for example, `function` writes to an array of this process, and
+        `remote_function` returns what is to be written.  If workers are other processes, the
+        function, the items and the results must be picklable.
     worker_count
         Number of workers of the executor, which determines how many items are submitted to it.
     executor
@@ -200,25 +200,36 @@ class Distribution(Generic[_Item, _Result]):
                 task = self._waiting[0]
                 self._futures[task] = self.executor.submit(self._remote_function, task.item)
                 self._waiting.popleft()
-        except Exception:  # for example, a worker has died, or none can be started
+        except Exception:  # for example because workers have died several times
             self.executor = None
 
     def _process_next_task(self, tasks: _Tasks) -> None:
-        """Process the first item that nobody has taken; if there is none, repeat or wait."""
+        """Process the first item that nobody has taken; if there is none, help the workers."""
         if self._waiting and self._waiting[0] in tasks:
             self._process_task(self._waiting.popleft())
-            return
+        else:
+            self._help_workers(tasks)
+
+    def _help_workers(self, tasks: _Tasks) -> None:
+        """Process an item that the workers have not finished, or wait until one is done.
+
+        Choose the item that was submitted last, because the workers have most probably not begun
+        it.  If no worker has, process it here instead.  If a worker has begun it, wait until any
+        item is done, but at most for as long as this process took for its own slowest item.  If
+        none is done then, process the chosen item here as well, because the worker may never
+        answer.
+        """
         futures = {task: future for task, future in self._futures.items() if task in tasks}
         if not futures:
             return
-        # The item that was submitted last is the one that workers have most probably not begun.
         last_task = [*futures][-1]
-        if not futures[last_task].cancel():
-            # Threads always answer.
-            always_answers = isinstance(self.executor, Threads)
-            max_seconds = None if always_answers else max(task.seconds for task in tasks)
+        is_begun = not futures[last_task].cancel()
+        if is_begun:
+            # A thread cannot be killed, so it returns a result or raises an exception in the end.
+            may_never_answer = not isinstance(self.executor, Threads)
+            max_seconds = max(task.seconds for task in tasks) if may_never_answer else None
             if _wait_for_any(futures.values(), max_seconds):
-                return  # there are results to collect, or items to repeat that have failed
+                return  # `_collect_results` stores the result, or repeats the item if it failed
         del self._futures[last_task]
         self._process_task(last_task)
 
@@ -229,7 +240,10 @@ class Distribution(Generic[_Item, _Result]):
         task.seconds = perf_counter() - start_time
 
     def _collect_results(self, tasks: _Tasks) -> None:
-        """Store the results that the executor has returned, and repeat the items that failed."""
+        """Store the results that workers have returned.
+
+        Process an item here if its worker has raised an exception or returned an invalid result.
+        """
         for task in [task for task, future in self._futures.items() if future.done()]:
             if task not in tasks:
                 continue
@@ -242,16 +256,16 @@ class Distribution(Generic[_Item, _Result]):
                 self._process_task(task)
 
     def _drop(self, tasks: _Tasks) -> None:
-        """Remove items from the list, and cancel those that no worker has begun."""
+        """Remove items from the list, and cancel the submitted ones that no worker has begun."""
         self._waiting = deque(task for task in self._waiting if task not in tasks)
         for task in [task for task in self._futures if task in tasks]:
             self._futures.pop(task).cancel()
 
 
 def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float | None) -> bool:
-    """Wait until any future is done, without a limit if `max_seconds` is None.
+    """Wait until any future is done, and return True; return False if none is done in time.
 
-    Return False if none is done after this time.
+    If `max_seconds` is None, there is no limit of time.
     """
     from concurrent.futures import FIRST_COMPLETED, wait
 
@@ -259,9 +273,10 @@ def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float | None) -> 
 
 
 class Threads:
-    """Threads of this process, which are started when work is submitted, as workers.
+    """Workers that are threads of this process.
 
-    No thread is left after `close`, so none can hold a lock while the process is forked.
+    They are started when work is submitted.  No thread is left after `close`, so none can hold a
+    lock while the process is forked.
     """
 
     sharing = Sharing(min_seconds=0.02, min_tile_seconds=0.01)
@@ -271,7 +286,7 @@ class Threads:
         self._executor: ThreadPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule a call in a thread: see `Executor`."""
+        """Schedule the call ``function(*args)`` in a thread, and return its future."""
         if self._executor is None:
             from concurrent.futures import ThreadPoolExecutor
 
@@ -286,14 +301,13 @@ class Threads:
 
 
 class WorkerPool:
-    """The worker processes of a command, which are started when the first work is submitted.
+    """Workers that are child processes of a command.
 
-    Use this only in a command, because closing the pool kills all processes that `multiprocessing`
-    has started.  On Linux, a calling process with a single thread is forked, so workers start with
-    all its modules and data.
+    They are started when work is submitted, and end when the command ends.  Use a pool only in a
+    command, because `close` ends all child processes that `multiprocessing` has started.
 
-    Workers end when the calling process ends.  They ignore SIGINT, which the terminal sends to all
-    processes when the user presses Ctrl-C, because the calling process then ends them.
+    When the user presses Ctrl-C, the terminal sends SIGINT to the command and to all workers.
+    Workers ignore it, because the command ends them.
 
     Parameters
     ----------
@@ -301,7 +315,7 @@ class WorkerPool:
         Called without arguments in each worker, before any work.
     """
 
-    # Processes take time to start, and to prepare the scene.
+    # The minima exceed those of `Threads`: a process takes time to start and to prepare the scene.
     sharing = Sharing(min_seconds=0.1, min_tile_seconds=0.02)
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
@@ -311,27 +325,30 @@ class WorkerPool:
         self._start_count = 0
 
     def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule a call in a worker (see `Executor`), and start workers if none are alive.
+        """Schedule the call ``function(*args)`` in a worker, and return the future of its result.
+
+        The function, its arguments and its result must be picklable.  If there are no workers, or
+        one has died, new workers are started.
 
         Raises
         ------
         OSError, ImportError
             If the system has no semaphores, or too many files are open.
         RuntimeError
-            If no worker can be started, or workers have already been started `_MAX_STARTS` times.
+            If workers have been started `_MAX_STARTS` times, and have died or could not be started.
         """
         if self._executor is None:
             if self._start_count == _MAX_STARTS:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
             self._executor = self._create_executor()
-        # Block SIGINT, so that workers start with it blocked.  Otherwise, a worker that Ctrl-C
-        # interrupts before it ignores SIGINT would print a traceback.
+        # Workers inherit the blocked SIGINT.  If Ctrl-C interrupted a worker before it ignores
+        # SIGINT, the worker would print a traceback.
         if sys.platform != "win32":
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return self._executor.submit(function, *args)
-        except Exception:  # a worker has died, or none can be started
+        except Exception:  # a worker has died, or could not be started
             self.close()
             return self.submit(function, *args)
         finally:
@@ -339,7 +356,11 @@ class WorkerPool:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def _create_executor(self) -> ProcessPoolExecutor:
-        """Create an executor that forks its workers if that is safe, and spawns them otherwise."""
+        """Create an executor that forks its workers if that is safe, and spawns them otherwise.
+
+        A forked worker starts with the modules and the data of this process.  A spawned one is a
+        new Python process that imports the modules again.
+        """
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
@@ -355,10 +376,10 @@ class WorkerPool:
         )
 
     def close(self) -> None:
-        """End the workers, by force after `_MAX_END_SECONDS`, and shut down their executor.
+        """End the workers, and shut down their executor; do nothing if there are no workers.
 
-        Unfinished work is lost.  If there are no workers, nothing is done.  Work that is submitted
-        later starts new workers.
+        A worker that does not end in `_MAX_END_SECONDS` is killed.  Unfinished work is lost.  Work
+        that is submitted later starts new workers.
         """
         if self._executor is None:
             return
@@ -371,20 +392,20 @@ class WorkerPool:
 
 
 def _silence_pools() -> None:
-    """Suppress messages about failing pools, in this whole process and until it ends."""
+    """Suppress messages that Python prints when a pool fails, until this process ends."""
     # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
-    # workers.  It must not print a warning about this.
+    # workers, and would print a warning.
     sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
-    # If the system cannot start another thread, one of the pool's threads dies.  Its traceback is
-    # not needed, because the work is done without the pool.
+    # If the system cannot start another thread, a thread of the pool dies.  Its traceback would
+    # only confuse, because the work is done without the pool.
     threading.excepthook = lambda _: None
 
 
 def _init_worker(initializer: Callable[[], None] | None) -> None:
-    """Prepare a new worker process: it ignores SIGINT, and ends when its parent process ends.
+    """Let a new worker process ignore SIGINT, and end when its parent process ends.
 
-    A thread waits for the end of the parent.  If the thread cannot be started, the worker ends
-    immediately with exit status 1.
+    A thread of the worker waits for the end of the parent.  If the thread cannot be started, the
+    worker ends immediately with exit status 1.  Then call `initializer`, unless it is None.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -1,12 +1,12 @@
 """A picture that a user asks for: checked, and prepared so that any tile can be rendered.
 
-The pixels of a tile (see `tracer.picture.tiles`) depend only on the scene, the samples and the
-offset, so the picture is the same to the last bit, whichever thread or process renders the tile.
+A *tile* is a rectangle of pixels that is rendered at once.  Its pixels depend only on the scene,
+the samples and the offset.  So they are the same to the last bit, whichever thread or process
+renders the tile, even if two render it.
 
-Threads that render at once share a scene, a `RenderJob` and its `PreparedScene`.  These objects do
-not change after they are built, except that they store values that are computed on demand, which
-are the same in whichever thread they are computed.  If two threads render the same tile of a
-picture, they write the same bits.
+Threads may share a scene, a `RenderJob` and its `PreparedScene`.  These objects do not change after
+they are built, but some values are computed when they are first needed, and then stored.  Two
+threads may both compute such a value, which does no harm, because they get the same result.
 """
 
 from __future__ import annotations
@@ -51,19 +51,34 @@ Crop: TypeAlias = tuple[SupportsIndex, SupportsIndex, SupportsIndex, SupportsInd
 
 
 class RenderJob:
-    """A picture or a part of it, to be rendered, which can be divided into tiles.
-
-    The arguments and the errors that wrong ones raise are those of `tracer.render`.
+    """A picture, or a rectangle of it, that is rendered tile by tile.
 
     A pickled job contains only its arguments.  The process that unpickles it prepares the scene
     again, which may take longer than rendering a tile, so it caches jobs (`_MAX_CACHED_JOBS`).
+
+    Parameters
+    ----------
+    samples
+        Samples per pixel, from 1 to `_MAX_SAMPLES`.  The number is rounded up to a square.
+    offset
+        Displacement of every ray to the right and down, in pixels.
+    crop
+        The rectangle; None for the whole picture.
+
+    Raises
+    ------
+    TypeError
+        If `samples` is not an integer, or `crop` is not four integers.
+    ValueError
+        If `samples` is out of range, `crop` is empty or not inside the picture, or `offset` is not
+        two finite numbers.
     """
 
     scene: Scene
     prepared_scene: PreparedScene
     rectangle: Rectangle  # rows and columns of the picture that are rendered
-    width: int  # of the rectangle, in pixels
-    height: int
+    width: int  # width of the rectangle, in pixels
+    height: int  # height of the rectangle, in pixels
     is_whole: bool  # whether the rectangle is the whole picture
     seconds: float  # rough estimate of the time that one thread needs for the rectangle
 
@@ -88,7 +103,11 @@ class RenderJob:
         self.seconds = self._cost.estimate_seconds(self.rectangle)
 
     def divide(self, sharing: Sharing | None) -> list[Rectangle]:
-        """Divide the rectangle into tiles: see `Cost.divide`."""
+        """Divide the rectangle into tiles, from top to bottom and from left to right.
+
+        If workers share the tiles, `sharing` tells their kind.  Then there are enough tiles to keep
+        all processors busy, unless the tiles would be too small.
+        """
         return self._cost.divide(self.rectangle, sharing)
 
     def process_tiles(
@@ -123,7 +142,10 @@ class RenderJob:
         )
 
     def find_place(self, tile: Rectangle) -> Rectangle:
-        """Find the rows and columns of a tile in an array of the rectangle's pixels."""
+        """Find the slices that select the pixels of a tile in an array of the rectangle's pixels.
+
+        The rows and columns of `tile` itself are counted from the top left of the whole picture.
+        """
         rows, columns = map(_to_inner_range, tile, self.rectangle)
         return rows, columns
 
@@ -148,26 +170,28 @@ class RenderJob:
         column_count = columns.stop - columns.start
         if out is None:
             out = np.zeros((rows.stop - rows.start, column_count, 3))
-        # No object is visible in other pixels, so they stay black.
+        # Outside these rows and columns, no object is visible, so the pixels stay black.
         visible_pixels = self.prepared_scene.visible_pixels
         visible_rows, visible_columns = map(_intersect_ranges, tile, visible_pixels)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return out
-        visible_out = out[_to_inner_range(visible_rows, rows)]
+        out_rows = out[_to_inner_range(visible_rows, rows)]
         if self._lattice is None:
             from tracer.antialias.refine import average_pixels
 
-            visible_out[:, _to_inner_range(visible_columns, columns)] = average_pixels(
+            out_rows[:, _to_inner_range(visible_columns, columns)] = average_pixels(
                 self.prepared_scene, visible_rows, visible_columns, self._samples_per_side
             )
             return out
+        # All columns are sampled, not only the visible ones, so that a single sample per pixel can
+        # be stored in whole rows of `out`.  Samples that no object covers take little time.
         samples = self._lattice.place_in_pixels(visible_rows, columns)
         if self._lattice.size > 1:
             sample_radiance = compute_radiance(self.prepared_scene, samples)
-            visible_out[:] = self._lattice.average(sample_radiance, column_count)
+            out_rows[:] = self._lattice.average(sample_radiance, column_count)
         else:
             # The reshaped array is a view, because a tile is whole rows or a piece of one row.
-            compute_radiance(self.prepared_scene, samples, out=visible_out.reshape(-1, 3).T)
+            compute_radiance(self.prepared_scene, samples, out=out_rows.reshape(-1, 3).T)
         return out
 
 
