@@ -61,7 +61,7 @@ class ErrorCollector:
     ) -> str | None:
         """Report a child with an unknown tag.
 
-        `allowed_tags` are the tags that children of the parent may have.  Return the one that was
+        `allowed_tags` are the tags that children of the parent may have.  Return the tag that was
         probably meant, or None if this is unclear.
         """
         if element.tag in SCENE_TAGS:
@@ -86,7 +86,7 @@ class ErrorCollector:
     ) -> set[str | None]:
         """Report all attributes of an element that are not in `allowed_names`.
 
-        If an attribute was probably written in place of a child element, that is suggested;
+        If an attribute was probably written in place of a child element, suggest the child.
         `child_tags` are the tags that children may have.  Return the names of attributes and the
         tags that were probably meant; None stands for attributes whose meaning is unclear.
         """
@@ -94,13 +94,15 @@ class ErrorCollector:
         for name, value in element.attrib.items():
             if name in allowed_names:
                 continue
-            remedy, intended_name = suggest_tag(name, (*allowed_names, *child_tags))
-            if intended_name == "shader":
-                remedy = f'write <shader ref="{shorten(value)}"/> in it'
-            elif intended_name in child_tags:
-                remedy = f"write <{intended_name}>{shorten(value)}</{intended_name}> in it"
-            elif intended_name is None:
+            suggestion = suggest_tag(name, (*allowed_names, *child_tags))
+            tag = suggestion.name
+            remedy = suggestion.remedy
+            if tag is None:
                 remedy = suggest_name(name, allowed_names).remedy
-            intended_names.add(intended_name)
+            elif tag == "shader" and suggestion.is_synonym:
+                remedy = f'write <shader ref="{shorten(value)}"/> in it'
+            elif tag in child_tags and suggestion.is_synonym:
+                remedy = f"write <{tag}>{shorten(value)}</{tag}> in it"
+            intended_names.add(tag)
             self.report(element, f"unknown attribute {quote(name)}; {remedy}")
         return intended_names

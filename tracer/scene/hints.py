@@ -27,32 +27,77 @@ _INVALID, _UNCLOSED = errors.XML_ERROR_INVALID_TOKEN, errors.XML_ERROR_UNCLOSED_
 _QUOTED = 'put the value of an attribute in quotes, as in type="Sphere"'
 _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <shader ref="red"/>'
 
-# Each row contains (1) expat's message, or "" for any message; (2) a pattern that the text before
-# the error must end with; (3) a pattern that the text from the error on must begin with; and (4)
-# the suggested fix.  In the fix, `line` is the line where the match of (2) begins, and
-# `description` states the character at the error.  The first row that matches is used.
+
+class _SyntaxRemedy(NamedTuple):
+    """A fix that is suggested for a syntax error if all three conditions hold."""
+
+    # The fix.  {line} stands for the line where the match of `before` begins, and {description} for
+    # the character at the error.
+    remedy: str
+    message: str = ""  # expat's message; "" for any message
+    before: bytes = rb""  # a pattern that the text before the error must end with
+    after: bytes = rb""  # a pattern that the text from the error on must begin with
+
+
+# The first remedy whose conditions hold is suggested.  The comment above a remedy is an example, in
+# which | stands right before the error.
 _SYNTAX_REMEDIES = (
-    ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
-    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # for example, a picture
-    ("", rb"", rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])", "save the file as UTF-8"),
-    (_UNCLOSED, rb"", rb"<!--", "end it with -->"),
-    (_UNCLOSED, rb"", rb"<\?", "end it with ?>"),
-    (_UNCLOSED, rb"", rb"<", "end it with >"),
-    ("", rb"<!--(?:(?!-->).)*--", rb"", "in a comment, write - in place of --"),
-    ("", rb"=\s*", rb"\w", _QUOTED),
-    ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
-    ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {description}"),
-    ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag on line {line} with >"),
-    ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes on line {line}"),
-    ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes on line {line}"),
-    (_INVALID, rb"<", rb"", "in text, < is written &lt;, and a tag has its name right after <"),
-    (_INVALID, rb"<![^<>\"']*", rb"", "a comment is written <!-- ... -->"),
-    (_INVALID, rb"""<(?:[^<>"']|"[^<>"]*"|'[^<>']*')*""", rb"", _TAGS),
-    (_INVALID, rb"", rb"", "in text, < is written &lt; and & is written &amp;"),
+    # A file in UTF-16: |<\0s\0c\0
+    _SyntaxRemedy("save the file as UTF-8, and without a NUL", after=rb".?\0"),
+    # Not XML, such as a PNG file: |\x89PNG
+    _SyntaxRemedy(SCENE_REMEDY, message=_INVALID, before=rb"\A[^<]*", after=rb"[^<]"),
+    # A byte that is no character in UTF-8, such as an umlaut in Latin-1: name="gr|\xfcn"
+    _SyntaxRemedy(
+        "save the file as UTF-8",
+        after=rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])",
+    ),
+    # The end of the file is in a comment: |<!-- spheres
+    _SyntaxRemedy("end it with -->", message=_UNCLOSED, after=rb"<!--"),
+    # |<?xml version="1.0"
+    _SyntaxRemedy("end it with ?>", message=_UNCLOSED, after=rb"<\?"),
+    # |<center
+    _SyntaxRemedy("end it with >", message=_UNCLOSED, after=rb"<"),
+    # <!-- red --| or green -->
+    _SyntaxRemedy("in a comment, write - in place of --", before=rb"<!--(?:(?!-->).)*--"),
+    # <surface type=|Sphere>
+    _SyntaxRemedy(_QUOTED, before=rb"=\s*", after=rb"\w"),
+    # Typographic quotes, in UTF-8: <surface type=|\xe2\x80\x9cSphere
+    _SyntaxRemedy(
+        'write straight quotes, as in type="Sphere"', after=rb"\xe2\x80[\x98\x99\x9c\x9d]"
+    ),
+    # <center>0 0 |\x07
+    _SyntaxRemedy("remove the control character", after=rb"[\x01-\x08\x0e-\x1f]"),
+    # A no-break space between attributes: <shader|\xc2\xa0name="red">
+    _SyntaxRemedy("write a plain character in place of {description}", after=rb"[\x80-\xff]"),
+    # <camera |<viewPoint>
+    _SyntaxRemedy("end the tag on line {line} with >", before=rb"<[a-zA-Z/][^<>]*", after=rb"<"),
+    # <shader name="red>|<diffuseColor>
+    _SyntaxRemedy(
+        "close the quotes on line {line}",
+        before=rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*',
+        after=rb"<",
+    ),
+    # <shader name='red>|<diffuseColor>
+    _SyntaxRemedy(
+        "close the quotes on line {line}",
+        before=rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*",
+        after=rb"<",
+    ),
+    # <|5 spheres
+    _SyntaxRemedy(
+        "in text, < is written &lt;, and a tag has its name right after <",
+        message=_INVALID,
+        before=rb"<",
+    ),
+    # <!-| spheres -->
+    _SyntaxRemedy("a comment is written <!-- ... -->", message=_INVALID, before=rb"<![^<>\"']*"),
+    # <shader ref="red"/|/>
+    _SyntaxRemedy(_TAGS, message=_INVALID, before=rb"""<(?:[^<>"']|"[^<>"]*"|'[^<>']*')*"""),
+    # black &| white
+    _SyntaxRemedy("in text, < is written &lt; and & is written &amp;", message=_INVALID),
 )
 
-# Suggested fixes for errors whose cause expat's message shows.
+# Suggested fixes for errors whose cause is clear from expat's message, which is the key.
 _MESSAGE_REMEDIES = {
     errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
     errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
@@ -69,21 +114,37 @@ _MESSAGE_REMEDIES = {
 _CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
 _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
-# Names of elements and attributes in other scene formats, in lower case, and what to write in their
-# place.  A replacement is a start tag, or the tag of an element, after which advice may follow a
-# comma.  The first one that is allowed in the surrounding element is suggested.  "" means that the
-# element should be removed.
-_REPLACEMENTS: dict[str, Sequence[str]] = {
-    **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
-    **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
-    "up": ("viewUp",),
-    "imageplane": ("projDistance, viewWidth and viewHeight", ""),
-    **dict.fromkeys(("lookat", "target", "to"), ("viewDir, the target minus viewPoint", "")),
-    **dict.fromkeys(("fov", "fovy"), ("viewHeight, 2 tan(fov/2) projDistance, and viewWidth", "")),
-    **dict.fromkeys(("exposure", "samples", "background", "ambient", "integrator"), ("",)),
-    **{name.lower(): (f'<surface type="{name}">',) for name in ("Sphere", "Box")},
-    **{name.lower(): (f'<shader type="{name}">',) for name in ("Lambertian", "Phong")},
+
+class _Replacement(NamedTuple):
+    """An element of this scene format that has the meaning of a name in another format."""
+
+    tag: str
+    advice: str = ""  # says, after the tag, what else differs; "" if only the name differs
+    type_name: str = ""  # the value of the element's attribute `type`; "" if it needs none
+
+
+_EYE = _Replacement("viewPoint"), _Replacement("center")
+_DIRECTION = (_Replacement("viewDir"),)
+_TARGET = (_Replacement("viewDir", advice=", the target minus viewPoint"),)
+_ANGLE = (_Replacement("viewHeight", advice=", 2 tan(fov/2) projDistance, and viewWidth"),)
+
+# Replacements for names of elements and attributes in other scene formats.  The keys are in lower
+# case.  Of several replacements, the first one that the surrounding element may contain is used.
+_REPLACEMENTS: dict[str, Sequence[_Replacement]] = {
+    **dict.fromkeys(("position", "eye", "from"), _EYE),
+    **dict.fromkeys(("direction", "gaze"), _DIRECTION),
+    "up": (_Replacement("viewUp"),),
+    "imageplane": (_Replacement("projDistance", advice=", viewWidth and viewHeight"),),
+    **dict.fromkeys(("lookat", "target", "to"), _TARGET),
+    **dict.fromkeys(("fov", "fovy"), _ANGLE),
+    **{name.lower(): (_Replacement("surface", type_name=name),) for name in ("Sphere", "Box")},
+    **{name.lower(): (_Replacement("shader", type_name=name),) for name in ("Lambertian", "Phong")},
 }
+
+# Names in other scene formats, in lower case, that should be removed where no replacement is
+# allowed.
+_SUPERFLUOUS = frozenset(("imageplane", "lookat", "target", "to", "fov", "fovy", "exposure"))
+_SUPERFLUOUS |= {"samples", "background", "ambient", "integrator"}
 
 
 def suggest_syntax_fix(
@@ -105,7 +166,7 @@ def suggest_syntax_fix(
     encoding
         The encoding that the file declares; "" if it declares none.
     """
-    # The file is in UTF-8, but declares another encoding.  (Expat does not know the name "utf8".)
+    # A file in UTF-8 may declare another encoding.  (Expat does not know the name "utf8".)
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
         return f'write encoding="UTF-8" on the first line, not {quote(encoding)}'
     if remedy := _find_syntax_remedy(message, line, before, after):
@@ -121,15 +182,16 @@ def suggest_syntax_fix(
 
 
 def _find_syntax_remedy(message: str, line: int, before: bytes, after: bytes) -> str | None:
-    """Return the first suggested fix of `_SYNTAX_REMEDIES` that applies, or None."""
-    for expected_message, pattern_before, pattern_after, remedy in _SYNTAX_REMEDIES:
-        if expected_message not in ("", message):
+    """Return the first fix of `_SYNTAX_REMEDIES` whose conditions hold, or None."""
+    for candidate in _SYNTAX_REMEDIES:
+        if candidate.message not in ("", message):
             continue
-        match = re.search(rb"(?s:%b)\Z" % pattern_before, before)
-        if match and re.match(pattern_after, after):
+        match = re.search(rb"(?s:%b)\Z" % candidate.before, before)
+        if match and re.match(candidate.after, after):
             character = after.decode(errors="replace")[:1] or " "
             description = f"{character!r} (U+{ord(character):04X})"
-            return remedy.format(line=line - match[0].count(b"\n"), description=description)
+            first_line = line - match[0].count(b"\n")
+            return candidate.remedy.format(line=first_line, description=description)
     return None
 
 
@@ -137,7 +199,8 @@ class Suggestion(NamedTuple):
     """A suggested fix for an unknown name."""
 
     remedy: str  # the fix as a clause of a message: "did you mean 'radius'?"
-    name: str | None  # the name that was probably meant; None if this is unclear
+    name: str | None  # the name or tag that was probably meant; None if this is unclear
+    is_synonym: bool = True  # whether only the name is wrong; False if more must be changed
 
 
 def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
@@ -162,14 +225,18 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    The suggestion's `name` is one of `allowed_tags`, or a start tag such as <shader type="Phong">,
-    or an element of `_REPLACEMENTS` with advice.  It is None if no tag was clearly meant.
+    The suggested tag is one of `allowed_tags`, "surface" or "shader".
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
-        if not replacement:
-            return Suggestion(remedy="remove it", name=None)
-        if replacement.startswith("<") or replacement.split(",")[0] in allowed_tags:
-            return Suggestion(remedy=f"write {replacement}", name=replacement)
+        if replacement.type_name:
+            remedy = f'write <{replacement.tag} type="{replacement.type_name}">'
+            return Suggestion(remedy=remedy, name=replacement.tag, is_synonym=False)
+        if replacement.tag in allowed_tags:
+            remedy = f"write {replacement.tag}{replacement.advice}"
+            is_synonym = not replacement.advice
+            return Suggestion(remedy=remedy, name=replacement.tag, is_synonym=is_synonym)
+    if tag.lower() in _SUPERFLUOUS:
+        return Suggestion(remedy="remove it", name=None)
     return suggest_name(tag, allowed_tags)
 
 
