@@ -1,8 +1,8 @@
 """Parse a scene file into elements with line numbers.
 
-The problem is to read files of up to 256 MiB in little memory.  Expat parses the file as a stream.
-When the end tag of a child of the root is parsed, the child is passed on and forgotten, so that at
-most one child is in memory.  Limits on the bytes of a file, on the length of a token (a tag, a
+Files of up to 256 MiB are read in little memory.  Expat parses the file as a stream.  When the end
+tag of a child of the root has been parsed, the child is passed on and forgotten, so that at most
+one child is in memory.  Limits on the bytes of a file, on the length of a token (a tag, a
 comment or a piece of text), and on the elements in one child bound the memory and the time that any
 file can take.
 """
@@ -26,7 +26,9 @@ MAX_BYTES = 1 << 28
 MAX_TOKEN_LENGTH = 1 << 20
 """Maximum length of a token: of a text in characters, of any other in bytes."""
 MAX_DESCENDANTS = 64
-"""Maximum number of elements inside one child of the scene, and of attributes of one element."""
+"""Maximum number of elements inside one child of the root."""
+MAX_ATTRIBUTES = MAX_DESCENDANTS
+"""Maximum number of attributes of one element; the error message states one number for both."""
 
 # Number of bytes that are parsed together.
 _CHUNK_BYTES = 1 << 14
@@ -40,31 +42,36 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
 class FatalError(Exception):
-    """An error after which the rest of a scene file is not read.
+    """An error after which the rest of a scene file is not read."""
 
-    ``error.args`` contains (1) the line number in the file, or 0 if the error concerns the whole
-    file, and (2) the message, with a suggested fix.
-    """
+    line: int  # line number in the file; 0 if the error concerns the whole file
+    message: str  # what is wrong, and a suggested fix
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(line, message)
+        self.line = line
+        self.message = message
 
 
 class Element(list["Element"]):
     """An XML element of a scene file: a list of its child elements."""
 
-    # The parser sets the slots one by one, which is faster than an `__init__` with arguments.
+    # The parser sets the attributes one by one, because this is faster than an `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
     line: int  # where the element begins
-    # Text inside the element.  If the element must not contain text, only the first piece, which
-    # was reported as an error.
+    # The text inside the element.  In an element that must not contain text, it is only the first
+    # piece of text, which was reported as an error.
     text: str
 
 
 def open_scene(path: str) -> IO[bytes]:
     """Open a scene file for reading.
 
-    Raise FatalError if the path is invalid, or does not name a regular file of at most `MAX_BYTES`:
-    reading a pipe or a device might never end.  Raise OSError if the file cannot be opened.
+    Raise FatalError if the path is invalid, or does not name a regular file of at most `MAX_BYTES`.
+    Pipes and devices are refused because reading them might never end.  Raise OSError if the file
+    cannot be opened.
     """
     try:
         file_status = os.stat(path)
@@ -85,24 +92,24 @@ class Parser:
 
     Parameters
     ----------
-    read_element
-        Called with the root when it begins, and has no children yet.  Then called with each child
-        of the root when it ends, and is complete.  The children are not added to the root.
+    on_element
+        Called with the root as soon as its start tag has been parsed.  Then called with each child
+        of the root when the child is complete.  The children are not added to the root.
     report_at
         Called for text in an element that must not contain text, with the line of the text, the tag
         of the element, and the error message.
     """
 
-    open_elements: list[Element]  # those whose end tag has not been parsed yet, the root first
+    open_elements: list[Element]  # elements whose end tag has not been parsed yet, the root first
     descendant_count: int  # elements parsed so far inside the current child of the root
     encoding: str  # given by the XML declaration, or ""
     byte_count: int  # bytes passed to expat
     recent_bytes: bytes  # the current chunk, and up to `_KEPT_BYTES` before it
 
     def __init__(
-        self, read_element: Callable[[Element], None], report_at: Callable[[int, str, str], None]
+        self, on_element: Callable[[Element], None], report_at: Callable[[int, str, str], None]
     ) -> None:
-        self.read_element = read_element
+        self.on_element = on_element
         self.report_at = report_at
         self.open_elements = []
         self.descendant_count = 0
@@ -121,7 +128,7 @@ class Parser:
         """Parse a whole scene file.
 
         Raise FatalError if the file is empty, is not well-formed XML, or exceeds a limit.
-        `read_element` has then been called for all elements before the error.  Raise TypeError if
+        `on_element` has then been called for all elements before the error.  Raise TypeError if
         `file` is a text file.
         """
         try:
@@ -178,10 +185,11 @@ class Parser:
         return FatalError(line, f"not XML: {message} at column {error.offset + 1}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
-        """Create an element, and add it to its parent; if it is the root, call `read_element`.
+        """Create an element, and add it to its parent; if it is the root, call `on_element`.
 
         Children of the root are not added to it, so that their memory can be freed.  Raise
-        FatalError if there are too many elements or attributes.
+        FatalError if the current child of the root contains more than `MAX_DESCENDANTS` elements,
+        or the element has more than `MAX_ATTRIBUTES` attributes.
         """
         element = Element()
         element.tag = tag
@@ -194,10 +202,10 @@ class Parser:
             open_elements[-2].append(element)
             self.descendant_count += 1
         elif len(open_elements) == 1:
-            self.read_element(element)
+            self.on_element(element)
         else:
             self.descendant_count = 0
-        if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
+        if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_ATTRIBUTES:
             container = open_elements[:2][-1]  # the child of the root, or the root itself
             container_tag = shorten(container.tag)
             message = f"contains more than {MAX_DESCENDANTS} elements or attributes"
@@ -205,16 +213,16 @@ class Parser:
             raise FatalError(element.line, f"{container_tag}: {message}; {remedy}")
 
     def _handle_end_tag(self, _tag: str) -> None:
-        """Close the innermost open element; if it is a child of the root, call `read_element`."""
+        """Close the innermost open element; if it is a child of the root, call `on_element`."""
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
-            self.read_element(element)
+            self.on_element(element)
 
     def _handle_text(self, text: str) -> None:
         """Add text to the innermost open element.  Expat may split a text into several calls.
 
-        An element that contains elements, such as <camera>, must contain no text but white space.
-        Only its first piece of text is reported.
+        Report an error for text, other than white space, in an element that must contain only
+        elements, such as <camera>.  Only the first piece of such text is reported.
         """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:

@@ -30,7 +30,7 @@ from tracer.scene.hints import (
 )
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import NumberValidator, SceneError
-from tracer.scene.tables import Table, parse_numbers
+from tracer.scene.tables import ShaderTable, SurfaceTable, Table, parse_numbers
 
 # Maximum number of undefined shaders for which a similar name is searched for.  A search takes
 # milliseconds.
@@ -88,7 +88,7 @@ def load_scene(source: FileOrPath) -> Scene:
         with nullcontext(source_object) if is_stream else open_scene(file_name) as file:
             reader.read(file)
     except FatalError as error:
-        reader.errors.append(error.args)
+        reader.errors.append((error.line, error.message))
     except OSError as error:
         reader.errors.append((0, _explain_unreadable_file(error, file_name)))
     if not reader.errors:
@@ -119,19 +119,20 @@ class _Reader(ErrorCollector):
     is the default, white.
     """
 
-    # The root, and the first <camera> and <image>, by their tags.
+    # The root, the first <camera> and the first <image>, as far as they have been read, by their
+    # tags.
     unique_elements: dict[str, Element]
     # Tags of the root's children that were probably meant by unknown tags; None for an unclear one.
     # Elements with these tags are not reported as missing.
     intended_tags: set[str | None]
-    empty_scene: Scene  # has the size of the picture
+    empty_scene: Scene  # a scene without contents that has the size of the picture
     cameras: Table  # one row in a valid file
     lights: Table
     # Tables by the value of the attribute `type`, such as "Sphere".
-    shader_tables: dict[str, Table]
-    surface_tables: dict[str, Table]
+    shader_tables: dict[str, ShaderTable]
+    surface_tables: dict[str, SurfaceTable]
     surface_counter: Iterator[int]  # yields the index of the next surface
-    index_of_name: dict[str, int]  # of all named shaders
+    index_of_name: dict[str, int]  # the shader index of each shader name
     # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0
     # counts as defined on line 1.
     definition_lines: array[int]
@@ -143,8 +144,9 @@ class _Reader(ErrorCollector):
         self.empty_scene = Scene(width=1, height=1)
         self.cameras = Table(model.Camera)
         self.lights = Table(model.PointLight)
-        self.shader_tables = {cls.__name__: Table(cls) for cls in (model.Lambertian, model.Phong)}
-        self.surface_tables = {cls.__name__: Table(cls) for cls in (model.Sphere, model.Box)}
+        shaders = model.Lambertian, model.Phong
+        self.shader_tables = {cls.__name__: ShaderTable(cls) for cls in shaders}
+        self.surface_tables = {cls.__name__: SurfaceTable(cls) for cls in (model.Sphere, model.Box)}
         self.surface_counter = count()
         self.index_of_name = {}
         self.definition_lines = array("i", [1])
@@ -235,15 +237,12 @@ class _Reader(ErrorCollector):
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
-        table.object_indices.append(next(self.surface_counter))
-        children = self.add_row(table, element, "type")
-        shader = children.get("shader")
+        shader = self.add_row(table, element, "type").get("shader")
         if shader is None:
-            table.shader_indices.append(0)
-            table.shader_lines.append(0)
+            table.append_indices(next(self.surface_counter), 0, 0)
         else:
-            table.shader_indices.append(self.read_shader_or_reference(shader))
-            table.shader_lines.append(shader.line)
+            shader_index = self.read_shader_or_reference(shader)
+            table.append_indices(next(self.surface_counter), shader_index, shader.line)
 
     def read_shader(self, element: Element) -> int:
         """Add the definition of a shader to the table for its type, and return its shader index.
@@ -261,8 +260,8 @@ class _Reader(ErrorCollector):
         if table is None:
             self.report_invalid_type(element, self.shader_tables, "name")
         else:
-            table.object_indices.append(index)
             self.add_row(table, element, "name", "type")
+            table.append_index(index)
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
@@ -302,7 +301,7 @@ class _Reader(ErrorCollector):
         of the element, by the names of the fields that they define.
         """
         children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
-        table.lines.append(element.line)
+        table.begin_row(element.line)
         for field_name, column in table.columns.items():
             child = children.get(field_name)
             if child is not None:
@@ -421,13 +420,13 @@ class _Reader(ErrorCollector):
         """Create the scene from the tables.  The whole file must have been read without errors."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shader_tables.values():
-            for index, shader in zip(table.object_indices, table.make_objects(), strict=True):
+            for index, shader in zip(table.indices, table.make_objects(), strict=True):
                 shaders[index] = shader
         tables = self.surface_tables.values()
         surfaces = Surfaces.from_tables(
             {cast(model.Kind, table.dataclass): table.to_arrays() for table in tables},
             shader_index=np.concatenate([table.shader_indices for table in tables]),
-            file_index=np.concatenate([table.object_indices for table in tables]),
+            file_index=np.concatenate([table.indices for table in tables]),
             shaders=tuple(shaders),
             line=np.concatenate([table.lines for table in tables]),
         )

@@ -24,7 +24,7 @@ from tracer.scene.schema import NumberValidator, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Finds a match in any text with a number that float() rounds to 0, but may find one in others.
+# Tests for numbers that may underflow.  It never misses one, but may match harmless text.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 # Matches words that denote 0 exactly.
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
@@ -52,12 +52,13 @@ def parse_numbers(text: str, number_count: int) -> list[float]:
 class Column:
     """The numbers of one field in all objects of a table, one row for each object.
 
-    In the file, a row is a child of the object's element, such as the <center> of a sphere.
+    In the file, the numbers of a row are in a child of the object's element, such as the <center>
+    of a sphere.
     """
 
     validator: NumberValidator
     tags: tuple[str, ...]  # the tags that the child may have; nearly all fields have only one
-    default: Any  # value if the child is absent; `dataclasses.MISSING` if it is required
+    default: Any  # value if the child is absent; `dataclasses.MISSING` if the child is required
     default_row: list[float]  # the numbers of the default; NaN if it has none
     numbers: array[float]  # row after row; NaN for missing and unreadable numbers
     lines: array[int]  # for each row, the line of the child; 0 if it is absent
@@ -99,18 +100,15 @@ class Column:
 
 
 class Table:
-    """The objects of one dataclass in a scene file, one in each row."""
+    """The objects of one dataclass in a scene file, one in each row.
+
+    To add a row, call `begin_row`, and then `append` of each column.
+    """
 
     dataclass: type[schema.Validated]
     field_of_tag: dict[str, str]  # the name of the field that each tag defines
-    columns: dict[str, Column]  # of all numeric fields, by the field's name
+    columns: dict[str, Column]  # one for each numeric field, by the field's name
     lines: array[int]  # for each row, the line of the object
-    # For each row, the index among all shaders or surfaces of the file.  Empty in other tables.
-    object_indices: array[int]
-    # For each row, the index of the surface's shader, and the line of the <shader> in the surface.
-    # Both are 0 if the surface has no <shader>.  Empty in tables of other objects.
-    shader_indices: array[int]
-    shader_lines: array[int]
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:
         self.dataclass = dataclass
@@ -121,9 +119,10 @@ class Table:
             if isinstance(field.metadata.get("validator"), NumberValidator):
                 self.columns[field.name] = Column(field)
         self.lines = array("i")
-        self.object_indices = array("i")
-        self.shader_indices = array("i")
-        self.shader_lines = array("i")
+
+    def begin_row(self, line: int) -> None:
+        """Begin the row of an object that is on this line of the file."""
+        self.lines.append(line)
 
     def to_arrays(self) -> dict[str, Shaped[Floats, "n count"]]:
         """Return views of the rows of all numeric fields, by the field's name."""
@@ -152,3 +151,36 @@ class Table:
             field_values["line"] = self.lines
         for row in zip(*field_values.values(), strict=True):
             yield construct_unchecked(self.dataclass, **dict(zip(field_values, row, strict=True)))
+
+
+class ShaderTable(Table):
+    """The shaders of one dataclass in a scene file.  Each row is completed by `append_index`."""
+
+    indices: array[int]  # for each row, the index among all shaders of the file
+
+    def __init__(self, dataclass: type[schema.Validated]) -> None:
+        super().__init__(dataclass)
+        self.indices = array("i")
+
+    def append_index(self, index: int) -> None:
+        self.indices.append(index)
+
+
+class SurfaceTable(Table):
+    """The surfaces of one dataclass in a scene file.  Each row is completed by `append_indices`."""
+
+    indices: array[int]  # for each row, the index among all surfaces of the file
+    shader_indices: array[int]  # for each row, the index among all shaders of the file
+    shader_lines: array[int]  # for each row, the line of the <shader> in the surface; 0 if absent
+
+    def __init__(self, dataclass: type[schema.Validated]) -> None:
+        super().__init__(dataclass)
+        self.indices = array("i")
+        self.shader_indices = array("i")
+        self.shader_lines = array("i")
+
+    def append_indices(self, index: int, shader_index: int, shader_line: int) -> None:
+        """Complete a row; both numbers of the shader are 0 if the surface has no <shader>."""
+        self.indices.append(index)
+        self.shader_indices.append(shader_index)
+        self.shader_lines.append(shader_line)
