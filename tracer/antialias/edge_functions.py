@@ -1,10 +1,10 @@
 """Fit straight lines to the edges that cross cells, from values of edge functions.
 
 An *edge function* is a smooth function of the position in the picture that is zero on an edge
-(Pineda 1988); `edges` lists those of all edges.  A *cell* is a pixel or a square part of a pixel.
-Each edge function is evaluated at six points of a cell.  The quadratic polynomial through the six
-values shows where the edge crosses the cell, and how much it turns there.  If it turns little, a
-straight line represents it.
+(Pineda 1988).  The module `tracer.antialias.edges` defines the functions of all kinds of edges.  A
+*cell* is a pixel or a square part of a pixel.  Each edge function is evaluated at six points of a
+cell.  The quadratic polynomial through the six values shows where the edge crosses the cell, and
+how much it turns there.  If it turns little, a straight line represents it.
 
 Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 """
@@ -38,7 +38,7 @@ class EdgeValues(NamedTuple):
     """Values of the edge functions of n edges, each at six points of one cell."""
 
     cell_index: Shaped[Ints, "n"]
-    values: Shaped[Floats, "6 n"]  # at the points of `compute_rays`; NaN if unknown
+    values: Shaped[Floats, "6 n"]  # at the six points, ordered as in `compute_rays`; NaN if unknown
 
 
 class Lines(NamedTuple):
@@ -106,11 +106,11 @@ def compute_rays(
 class FittedLines(NamedTuple):
     """Lines that represent edges, and the cells in which lines do not suffice."""
 
-    # At most one line for each edge: none if the edge turns by more than `_MAX_TURN`, or if its
-    # line misses the cell.
+    # At most one line for each edge.  An edge has no line if it turns by more than `_MAX_TURN`, or
+    # if the line misses the cell.
     lines: Lines
-    # Cells that an edge may cross that turns too much, or whose values are unknown.  Indices may be
-    # repeated.
+    # A cell is listed for each edge that may cross it, and either turns too much or has unknown
+    # values.  So an index may be repeated.
     curved_cell_index: Shaped[Ints, "k"]
 
 
@@ -118,7 +118,8 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
     """Fit a straight line to each edge, from batches of values of edge functions.
 
     `tolerance` is the maximum error of the mean radiance of a cell.  The smaller it is, the less an
-    edge may turn before its cell counts as curved.  A curved edge may have a line, too.
+    edge may turn before its cell counts as curved.  An edge that turns so much may still have a
+    line.
     """
     max_turn = min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN)
     # Without edges, there is still an empty batch to concatenate.
@@ -132,7 +133,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
 
 
 def _fit_line_batch(edges: EdgeValues, max_turn: float) -> FittedLines:
-    """Fit a line to each edge; report the cells of edges that turn by more than `max_turn` radians.
+    """Fit a line to each edge; list the cells of edges that turn by more than `max_turn` radians.
 
     The line is parallel to the edge near the center of the cell, and lies at the mean position of
     the edge.
@@ -147,16 +148,17 @@ def _fit_line_batch(edges: EdgeValues, max_turn: float) -> FittedLines:
     # much across the edge, the cell may contain both sides of a small object.
     gradient = np.sqrt(planes.a * planes.a + planes.b * planes.b)
     turn = np.maximum(np.abs(h_along), np.abs(h_across)) / gradient
+    # If values are unknown, NaN makes all four comparisons False.  The edge then has no line, and
+    # its cell is listed, because the edge is neither straight nor certain to miss the cell.
     has_line = turn <= _MAX_TURN
+    is_straight = turn <= max_turn
     line_crosses_cell = np.abs(lines.c) < 1
-    # An edge that turns much may cross a cell that its line misses.  It does not cross the cell if
-    # the function has no zero there, which is certain if |c| > 1.  The negated tests are True for
-    # NaN.
-    may_cross = np.where(has_line, line_crosses_cell, ~(np.abs(quadratics.c) > 1))
-    is_curved = may_cross & ~(turn <= max_turn)
+    edge_misses_cell = np.abs(quadratics.c) > 1  # the function certainly has no zero in the cell
+    # An edge that turns much may cross a cell that its line misses.
+    may_cross = np.where(has_line, line_crosses_cell, ~edge_misses_cell)
     return FittedLines(
         lines=lines.take(find(has_line & line_crosses_cell)),
-        curved_cell_index=edges.cell_index[find(is_curved)],
+        curved_cell_index=edges.cell_index[find(may_cross & ~is_straight)],
     )
 
 

@@ -13,8 +13,8 @@ and 1/2 of the cell's width, and y pointing down.  Areas are fractions of the ce
 
 Regions are numbered over all cells.  In the binary digits of a region's index, bit k is 1 if the
 region is on the positive side of line k of its cell.  The bits from `max_lines` on are the index of
-the cell, where `max_lines` is the maximum number of lines in a cell: at most `MAX_LINES` of
-`classify`, so indices stay small.
+the cell, where `max_lines` is the maximum number of lines in a cell.  Arrays have an element for
+every index up to the largest, so the caller must limit the number of lines in a cell to a few.
 """
 
 from __future__ import annotations
@@ -89,7 +89,8 @@ def find_samples_in_mixed_regions(
 class _CellLines(NamedTuple):
     """Lines sorted by cell.
 
-    Those of cell i have the indices start[i] to start[i + 1] - 1.  They are numbered from 0.
+    The lines of cell i have the indices start[i] to start[i + 1] - 1.  A `line_number` counts the
+    lines of one cell from 0.
     """
 
     lines: Lines
@@ -140,38 +141,38 @@ class _Triangles(NamedTuple):
     region_index: Shaped[Ints, "n"]
 
     def divide(self, cell_lines: _CellLines, line_number: int) -> _Triangles:
-        """Divide each triangle that one line of its cell crosses into three.
+        """Return triangles in which each triangle that one line of its cell crosses is divided.
 
-        The bit of this line is set in the indices of the regions on its positive side.  The arrays
-        of this object are changed, too.
+        It is divided into three triangles.  The bit of the line is set in the region indices of all
+        triangles on its positive side.
         """
-        corners, cell_index, region_index = self
-        column_index, values = cell_lines.evaluate(line_number, cell_index, corners)
+        column_index, values = cell_lines.evaluate(line_number, self.cell_index, self.corners)
         is_positive = values > 0
         # The line crosses a triangle unless all three corners are on one side.
         positive_count = is_positive.sum(axis=0)
-        region_index[column_index[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
         parent_index = column_index[split_index]
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
         is_a_positive = positive_count[split_index] == 1
         lone_index = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
         corner_index = (lone_index + np.arange(3)[:, None]) % 3
-        a, b, c = corners[corner_index, parent_index]
+        a, b, c = self.corners[corner_index, parent_index]
         a_value, b_value, c_value = values[corner_index, split_index]
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
-        # The first part replaces the divided triangle, and the other two are appended.
+        # Two parts of each divided triangle are appended, and the third replaces it.
+        corners = np.concatenate([self.corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         corners[:, parent_index] = a, on_ab, on_ac
-        parent_region = region_index[parent_index]
-        region_index[parent_index] = parent_region | (is_a_positive << line_number)
-        new_region = parent_region | (~is_a_positive << line_number)
-        new_cell = cell_index[parent_index]
+        new_region = self.region_index[parent_index] | (~is_a_positive << line_number)
+        region_index = np.concatenate([self.region_index, new_region, new_region])
+        region_index[parent_index] |= is_a_positive << line_number
+        region_index[column_index[positive_count == 3]] |= 1 << line_number
+        new_cell = self.cell_index[parent_index]
         return _Triangles(
-            corners=np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1),
-            cell_index=np.concatenate([cell_index, new_cell, new_cell]),
-            region_index=np.concatenate([region_index, new_region, new_region]),
+            corners=corners,
+            cell_index=np.concatenate([self.cell_index, new_cell, new_cell]),
+            region_index=region_index,
         )
 
     def compute_centroids(self) -> WeightedPoints:
@@ -213,12 +214,15 @@ def _sum_by_region(
 
 
 class _PointMoments(NamedTuple):
-    """Number, mean and covariance of the points in each region."""
+    """Number, mean and covariance of the points in each region.
 
-    point_count: Shaped[Ints, "regions"]  # at least 1, also for regions without points
-    mean_x: Shaped[Floats, "regions"]  # 0 in regions without points
+    In a region without points, all numbers are 0.
+    """
+
+    point_count: Shaped[Ints, "regions"]
+    mean_x: Shaped[Floats, "regions"]
     mean_y: Shaped[Floats, "regions"]
-    # The covariance matrix, and its determinant.
+    # The elements and the determinant of the covariance matrix.
     cov_xx: Shaped[Floats, "regions"]
     cov_xy: Shaped[Floats, "regions"]
     cov_yy: Shaped[Floats, "regions"]
@@ -231,9 +235,10 @@ def _compute_moments(
     """Compute the mean and the covariance of the points in each region."""
 
     def average(values: Shaped[Floats, "n"]) -> Shaped[Floats, "region_count"]:
-        return _sum_by_region(region_index, values, region_count) / point_count
+        return _sum_by_region(region_index, values, region_count) / divisor
 
-    point_count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
+    point_count = np.bincount(region_index, minlength=region_count)
+    divisor = np.maximum(point_count, 1)
     mean_x = average(position.real)
     mean_y = average(position.imag)
     x = position.real - mean_x[region_index]
@@ -262,7 +267,7 @@ def _compute_weights(
 
     A region is represented if it contains at least three points that do not lie almost on a
     straight line.  The points of a region that is not represented have the weight 0.  `centroids`
-    are those of triangles that cover each region exactly, weighted by area.
+    contains the centroids of triangles that cover each region exactly, weighted by area.
     """
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # the number of points.  With the weights w (1 + t . (point - mean)), the weighted mean of the
@@ -277,11 +282,13 @@ def _compute_weights(
     # The vector from the mean to the region's centroid, scaled by the area.
     offset_x = moment_x - area * moments.mean_x
     offset_y = moment_y - area * moments.mean_y
-    divisor = np.where(is_represented, moments.point_count * moments.determinant, np.inf)
+    # Division by infinity gives the weight 0 to points in regions that are not represented.
+    point_count = np.where(is_represented, moments.point_count, np.inf)
+    divisor = np.where(is_represented, point_count * moments.determinant, np.inf)
     # The gradient of the weight: the vector w t.
     gradient_x = (moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor
     gradient_y = (moments.cov_xx * offset_y - moments.cov_xy * offset_x) / divisor
-    weight = np.where(is_represented, area / moments.point_count, 0)[region_index]
+    weight = (area / point_count)[region_index]
     x = position.real - moments.mean_x[region_index]
     y = position.imag - moments.mean_y[region_index]
     return weight + gradient_x[region_index] * x + gradient_y[region_index] * y, is_represented
