@@ -46,7 +46,7 @@ def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
     """
     window = slice(0, scene.height), slice(0, scene.width)
     with (
-        patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
+        patch("tracer.trace.samples.find_object_spans", _cover_whole_bands),
         patch("tracer.trace.radiance.find_shadows", _test_all_occluders),
         patch.object(ScreenBounds, "is_in_picture", lambda self, _: np.full(self.top.size, True)),
         patch.object(ScreenBounds, "find_visible_pixels", lambda *_: window),
@@ -54,14 +54,14 @@ def render_by_brute_force(scene: Scene) -> Shaped[Floats, "height width 3"]:
         return render(scene)
 
 
-def _cover_whole_rows(
-    shape: Shape, bounds: ScreenBounds, row_top: Floats, x_range: tuple[float, float], **_: float
+def _cover_whole_bands(
+    shape: Shape, bounds: ScreenBounds, band_top: Floats, x_range: tuple[float, float], **_: float
 ) -> ObjectSpans:
-    """Stand in for `find_object_spans`: every object covers every row."""
-    row, index_in_shape = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)
-    left, right = np.full((row.size, 2), x_range).T
+    """Stand in for `find_object_spans`: every object covers every band."""
+    band, index_in_shape = np.indices((band_top.size, shape.objects.size)).reshape(2, -1)
+    left, right = np.full((band.size, 2), x_range).T
     object_index = index_in_shape + shape.objects.start
-    return ObjectSpans(object_index=object_index, row=row, left=left, right=right)
+    return ObjectSpans(object_index=object_index, band=band, left=left, right=right)
 
 
 @np.errstate(all="ignore")

@@ -48,7 +48,7 @@ def find_silhouette_pixels(scene: PreparedScene, rows: slice, columns: slice) ->
 class _PixelIntervals(NamedTuple):
     """Ranges of pixels in a row, each paired with an object; they may be empty."""
 
-    row: Shaped[Ints, "n"]  # from 0 at the top of the rectangle
+    row: Shaped[Ints, "n"]  # counted from 0 at the top of the rectangle
     object_index: Shaped[Ints, "n"]
     # The first column, and the column after the last one; they may be outside the picture.
     start: Shaped[Floats, "n"]
@@ -60,21 +60,21 @@ def _find_partly_covered(
 ) -> tuple[_PixelIntervals, _PixelIntervals]:
     """Find the pixels of each row that each object of one shape covers in part.
 
-    In a row, an object may cover some pixels entirely.  The first result contains the pixels to the
-    left of these, or all that it overlaps if there are none.  The second contains those to the
-    right.
+    In a row, an object may cover some pixels entirely.  The first result contains the overlapped
+    pixels to the left of these, or all overlapped pixels if none is covered entirely.  The second
+    result contains the overlapped pixels to the right.
     """
-    row_top = np.arange(rows.start, rows.stop, dtype=np.float64)
+    pixel_row_top = np.arange(rows.start, rows.stop, dtype=np.float64)
     column_limits = (columns.start, columns.stop)
-    spans = find_object_spans(shape, scene.bounds, row_top, column_limits, height=1.0)
+    spans = find_object_spans(shape, scene.bounds, pixel_row_top, column_limits, height=1.0)
     overlap_start = np.floor(spans.left)
     overlap_stop = np.floor(spans.right) + 1
-    covered = _find_covered_parts(shape, scene, spans, row_top[spans.row])
+    covered = _find_covered_parts(shape, scene, spans, pixel_row_top[spans.band])
     # Shrink the covered parts to whole pixels.
     covered_start = np.ceil(covered.left).clip(overlap_start, overlap_stop)
     covered_stop = np.floor(covered.right).clip(covered_start, overlap_stop)
     left_pixels = _PixelIntervals(
-        row=spans.row,
+        row=spans.band,
         object_index=spans.object_index,
         start=overlap_start,
         stop=covered_start,
@@ -85,7 +85,7 @@ def _find_partly_covered(
 class _CoveredParts(NamedTuple):
     """The part of each row, from its upper to its lower edge, that an object covers.
 
-    If there is none, `left` is infinite, and `right` is minus infinity.
+    If the object covers no such part, `left` is infinite, and `right` is minus infinity.
     """
 
     left: Shaped[Floats, "n"]

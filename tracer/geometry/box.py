@@ -91,12 +91,12 @@ class Boxes(Shape):
         ray_y = frame.to_ray_y(top + height / 2)
         min_ray_x = np.full(box_index.size, -np.inf)
         max_ray_x = np.full(box_index.size, np.inf)
-        # The margin allows for the other rays of the row and for rounding errors.
+        # The margin allows for the other rays of the band and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane_index in range(6):
             a, b, c = (coefficients[plane_index].take(box_index) for coefficients in self.planes)
             # A ray meets the box only if a * ray_x + b * ray_y + c >= 0.  Compute the bound
-            # on `ray_x` for the largest value of the last two terms in the row.
+            # on `ray_x` for the largest value of the last two terms in the band.
             max_rest = b * ray_y + np.abs(b) * margin + c
             # If a is 0, the bound is infinite.  Adding 0 turns -0 into 0.
             bound = -max_rest / (a + 0.0)

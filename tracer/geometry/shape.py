@@ -62,7 +62,7 @@ class TangentPlanes(NamedTuple):
     """
 
     normal: Shaped[Triple, "planes"]  # unit normals that face the eye, in camera axes
-    eye_height: Shaped[Floats, "planes"]  # distance of the eye
+    eye_height: Shaped[Floats, "planes"]  # distance of the eye from the plane
     face_axis: Shaped[Ints, "runs"]  # axis perpendicular to the face; `NO_AXIS` if it is curved
     # Direction of the face's normal along this axis (1 or -1), and coordinate of the face on the
     # axis; any numbers for curved faces.
@@ -87,20 +87,20 @@ class FaceHits(NamedTuple):
     # The ray meets the plane at t times the vector from the eye to the hit; t is negative if the
     # plane is behind the eye.
     t: Shaped[Floats, "k"]
-    footprint_radius: Shaped[Floats, "k"]  # of the part of the plane that is visible in the cell
+    footprint_radius: Shaped[Floats, "k"]  # radius of the part of the plane that the cell shows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shape(ABC):
     """All objects of one kind, prepared for the rays of one camera."""
 
-    planar_axes: ClassVar[tuple[int, ...]]  # to which planar faces are perpendicular
+    planar_axes: ClassVar[tuple[int, ...]]  # axes to which the planar faces are perpendicular
     has_curved_face: ClassVar[bool]
 
     frame: CameraFrame
     objects: ObjectRange
     bounds: ScreenBounds  # bounding rectangles in the picture
-    is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
+    is_eye_inside: Shaped[Bools, "objects"]  # whether the eye is inside or on the object
     curvature: Shaped[Floats, "objects"]  # maximum curvature: 1 / radius, or 0 if all is planar
     # Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on the
     # surface are proportional to it.
@@ -144,14 +144,14 @@ class Shape(ABC):
     def find_x_range(
         self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Find the smallest and largest x at which each object may appear in a row of the picture.
+        """Find the smallest and largest x at which each object may appear in a band of the picture.
 
-        The row of object i extends from y = top[i] to top[i] + height.  Positions are in pixels
-        from the upper left corner of the picture.  If the object does not appear in the row, then
+        The band of object i extends from y = top[i] to top[i] + height.  Positions are in pixels
+        from the upper left corner of the picture.  If the object does not appear in the band, then
         left > right or both are NaN.
 
-        With height 0, the row is a line.  Then the result must be exact except for rounding errors,
-        because antialiasing concludes that the object covers what lies between.
+        With height 0, the band is a line.  Then the result must be exact, except for rounding
+        errors, because antialiasing concludes that the object covers what lies between.
         """
 
     @abstractmethod

@@ -65,7 +65,7 @@ class Spheres(Shape):
     center: Shaped[Floats, "3 objects"]  # in scene axes
     radius: Shaped[Floats, "objects"]
     from_eye: Shaped[Triple, "objects"]  # vectors from the eye to the centres, in camera axes
-    power: Shaped[Floats, "objects"]  # of the eye
+    power: Shaped[Floats, "objects"]  # power of the eye with respect to the sphere
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
@@ -100,8 +100,8 @@ class Spheres(Shape):
     def find_x_range(
         self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
-        # the sphere grown by the distance between the two rays.
+        # If a ray of the band meets the sphere, then a ray through the centre line of the band
+        # meets the sphere grown by the distance between the two rays.
         frame = self.frame
         sphere_index = self.objects.to_local(object_index)
         radius = self.radius[sphere_index]

@@ -1,11 +1,13 @@
 """Samples: the positions in the picture through which rays are traced.
 
 `Samples` is the interface of two kinds of samples: `Rows` of equally spaced samples, and
-`Scattered` samples at arbitrary positions.
+`Scattered` samples at arbitrary positions.  In both, a *row* contains samples of equal y.  A row of
+pixels is called a *pixel row*.
 
-Not every ray has to be tested with every object.  A *span* is the part of a row that one object
-covers, whether or not another object hides it there.  `find_object_spans` finds these parts, and
-`Samples.find_spans` lists the samples in them.
+Not every ray has to be tested with every object.  A *band* is the part of the picture between two
+values of y: a pixel row or, if both values are equal, a horizontal line.  A *span* is the part of a
+band that one object covers, whether or not another object hides it there.  `find_object_spans`
+finds these parts, and `Samples.find_spans` lists the samples in them.
 
 Positions and lengths are in pixels, from the upper left corner of the picture; y points down.
 """
@@ -28,17 +30,17 @@ from tracer.geometry.shape import Shape
 # the distance between two columns for `Rows`, and a pixel for `Scattered`.
 _SPAN_PADDING = 0.5
 
-# Scattered samples are sorted along a row if they are at most this many pixels from the left edge
-# of the picture.  Samples farther away are treated as equally far, so they are tested with more
-# objects than necessary.  A power of two: see `_encode_position`.
+# In a pixel row, scattered samples are sorted by x if they are at most this many pixels from the
+# left edge of the picture.  Samples farther away are treated as equally far, so they are tested
+# with more objects than necessary.  `_encode_position` needs a power of two.
 _MAX_SORTED_X = 2.0**20
 
 
 class ObjectSpans(NamedTuple):
-    """The parts of rows that objects cover, sorted by object and then by row."""
+    """The parts of bands that objects cover, sorted by object and then by band."""
 
     object_index: Shaped[Ints, "n"]
-    row: Shaped[Ints, "n"]  # index among the given rows
+    band: Shaped[Ints, "n"]  # index into `band_top` of `find_object_spans`
     left: Shaped[Floats, "n"]
     right: Shaped[Floats, "n"]  # at least `left`
 
@@ -46,41 +48,40 @@ class ObjectSpans(NamedTuple):
 def find_object_spans(
     shape: Shape,
     bounds: ScreenBounds,
-    row_top: Shaped[Floats, "rows"],
+    band_top: Shaped[Floats, "bands"],
     x_range: tuple[float, float],
     height: float = 0.0,
     pad: float = 0.0,
 ) -> ObjectSpans:
-    """Find the part of each row of the picture that each object of one shape covers.
+    """Find the part of each band that each object of one shape covers.
 
     Parameters
     ----------
     bounds
         Bounding rectangles of all objects of the scene.
-    row_top
-        Upper edges of the rows, in ascending order.
+    band_top
+        Upper edges of the bands, in ascending order.
     x_range
         Smallest and largest x.  Objects entirely to the left or to the right are skipped.
     height
-        Height of each row.  A row of height 0 is a line, whose spans are exact except for rounding
-        errors.
+        Height of each band.  If it is 0, spans are exact except for rounding errors.
     pad
         Length by which to widen each span on both sides.
     """
     bounds = bounds.select(shape.objects.slice)
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
-    first_row = row_top.searchsorted(bounds.top[in_range_index] - pad - height)
-    end_row = row_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
-    candidate_index, row = enumerate_ranges(np.maximum(end_row - first_row, 0), first_row)
+    first_band = band_top.searchsorted(bounds.top[in_range_index] - pad - height)
+    end_band = band_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
+    candidate_index, band = enumerate_ranges(np.maximum(end_band - first_band, 0), first_band)
     index_in_shape = in_range_index[candidate_index]
     object_index = index_in_shape + shape.objects.start
-    left, right = shape.find_x_range(object_index, row_top[row], height)
+    left, right = shape.find_x_range(object_index, band_top[band], height)
     left = np.maximum(left, bounds.left[index_in_shape])
     right = np.minimum(right, bounds.right[index_in_shape])
     kept_index = find(left <= right)
     return ObjectSpans(
         object_index=object_index[kept_index],
-        row=row[kept_index],
+        band=band[kept_index],
         left=left[kept_index] - pad,
         right=right[kept_index] + pad,
     )
@@ -153,12 +154,14 @@ class Rows(Samples):
     def find_spans(self, shape: Shape, bounds: ScreenBounds) -> SampleSpans:
         row_size = self.x.size
         columns_per_pixel = self.per_pixel[0]
-        # Rows are shifted by at most half the distance between two columns, so by half a pixel.
+        # With a margin of one pixel, the range contains all samples: a row is shifted by at most
+        # half the distance between two columns, and this distance is at most one pixel.
         x_range = self.x[0] - 1, self.x[-1] + 1
         spans = find_object_spans(
             shape, bounds, self.y, x_range, pad=_SPAN_PADDING / columns_per_pixel
         )
-        first_x = self.x[0] + self.shift[spans.row]
+        # A band of height 0 is a row.
+        first_x = self.x[0] + self.shift[spans.band]
         # Positions relative to the first sample of the row, in samples.
         left = (spans.left - first_x) * columns_per_pixel
         right = (spans.right - first_x) * columns_per_pixel
@@ -166,26 +169,26 @@ class Rows(Samples):
         span_end = (np.floor(right) + 1).clip(0, row_size).astype(np.intp)
         return SampleSpans(
             object_index=spans.object_index,
-            row=spans.row,
-            first_sample=spans.row * row_size + span_start,
+            row=spans.band,
+            first_sample=spans.band * row_size + span_start,
             sample_count=np.maximum(span_end - span_start, 0),
         )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scattered(Samples):
-    """Samples at arbitrary positions; each is a row of its own, with its own y.
+    """Samples at arbitrary positions, sorted by pixel row and then by x.
 
-    They are sorted by row of pixels and then by x.  Their number in a pixel is not known, and
-    assumed to be 1.
+    Each sample is a row of its own, with its own y.  The number of samples in a pixel is not known,
+    and assumed to be 1.
     """
 
     per_pixel: tuple[int, int] = (1, 1)
     x: Shaped[Floats, "rows"]
-    # Index of the first sample in each row of pixels.  Rows of pixels without samples are omitted.
+    # Index of the first sample in each pixel row.  Pixel rows without samples are omitted.
     pixel_row_start: Shaped[Ints, "pixel_rows"]
-    # The row of pixels (numbered from 1) and the x of each sample, encoded by `_encode_position`.
-    # The keys ascend, except for rounding errors much smaller than `_SPAN_PADDING`.
+    # The pixel row (numbered from 1) and the x of each sample, encoded by `_encode_position`.  The
+    # keys ascend.
     sort_key: Shaped[Floats, "rows"]
 
     @classmethod
@@ -227,8 +230,8 @@ class Scattered(Samples):
         spans = find_object_spans(
             shape, bounds, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
-        left_key = _encode_position(spans.row + 1, spans.left)
-        right_key = _encode_position(spans.row + 1, spans.right)
+        left_key = _encode_position(spans.band + 1, spans.left)
+        right_key = _encode_position(spans.band + 1, spans.right)
         span_start = self.sort_key.searchsorted(left_key)
         span_end = self.sort_key.searchsorted(right_key, side="right")
         span_size = np.maximum(span_end - span_start, 0)
@@ -241,12 +244,14 @@ class Scattered(Samples):
         )
 
 
-def _encode_position(row: Shaped[Ints, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:
-    """Encode each position as one number, so that the numbers sort by row and then by x.
+def _encode_position(pixel_row: Shaped[Ints, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:
+    """Encode each position as one number, so that the numbers sort by pixel row and then by x.
 
-    `x` may be infinite, and `row` is at most `schema.MAX_PIXELS`.  Two positions may have equal
-    numbers if they differ by very little, or if both are farther from the left edge of the picture
-    than `_MAX_SORTED_X`.
+    `x` may be infinite.  Two positions may have equal numbers if they are less than 1/8 pixel
+    apart, or if both are farther from the left edge of the picture than `_MAX_SORTED_X`.
     """
-    # The product is exact, so rounding never reverses the order of two positions.
-    return np.asarray(row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X))
+    # The factor is a power of two, so the product is exact.  Only the sum is rounded, which never
+    # reverses the order of two positions.  A picture has at most 2^28 pixels along a side
+    # (`schema.MAX_PIXELS`), so the sum is at most about 2^50, where the distance between
+    # neighbouring floats is 1/8 or less: far less than `_SPAN_PADDING`.
+    return np.asarray(pixel_row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X))
