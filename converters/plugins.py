@@ -5,7 +5,7 @@ point light whose intensity does not decrease with distance; (3) the BSDF of the
 (Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2); and (4) an integrator that adds
 the light of every emitter for each sample.
 
-Mitsuba calls the methods of the plugins, in which some of the arguments are not used.  A *hit* is
+Mitsuba prescribes the arguments of the methods, some of which are ignored here.  A *hit* is
 Mitsuba's `SurfaceInteraction3f`.  In vectorised variants of Mitsuba, every argument and result
 stands for many rays at once, and `active` masks the rays for which a result is needed.
 
@@ -53,8 +53,10 @@ class Window(mi.Sensor):
 
         `position` is (0, 0) in the upper left corner of the picture, and (1, 1) in the lower right
         corner.  The direction of the ray has length 1.  The ray starts where it enters the box
-        around the scene, or at the eye if the eye is inside the box.  The second result, the weight
-        of the ray, is 1.
+        around the scene, or at the eye if the eye is inside the box.  A ray that misses the box
+        meets no shape wherever it starts: it starts where it has entered the last of the three
+        slabs between opposite sides of the box, or at the eye.  The second result, the weight of
+        the ray, is 1.
         """
         x = mi.Float64(position.x)
         y = mi.Float64(position.y)
@@ -86,9 +88,11 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
     def sample_direction(self, hit, sample, active=True):
-        """Return the direction and the distance from a hit to the light, and the light's intensity.
+        """Return how a hit sees the light, as a `DirectionSample3f`, and the light's intensity.
 
-        The intensity, the second result, is 0 where `active` is False.
+        In the first result, `d` is the unit vector from the hit to the light, and `dist` is the
+        distance.  If the hit is at the light, both are 0.  The second result, a colour, is 0 where
+        `active` is False.
         """
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
