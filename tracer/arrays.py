@@ -176,7 +176,7 @@ def split_by_size(sizes: Shaped[Ints, "n"], max_size: int = CACHE_SIZE) -> Itera
     The items in a batch have a total size of at most `max_size`.  An item that is larger forms a
     batch on its own.
     """
-    total_sizes = sizes.cumsum()  # of the items up to and including each item
+    total_sizes = sizes.cumsum()  # for each item, the total size of the items up to and with it
     start = 0
     while start < sizes.size:
         max_total_size = total_sizes[start] - sizes[start] + max_size

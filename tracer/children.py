@@ -15,7 +15,8 @@ def terminate_children() -> None:
     This does not wait for their end.  A worker of a command first finishes its current operation on
     arrays, and deletes its temporary files.
     """
-    # Not imported: without the module there are no children, and importing it takes milliseconds.
+    # The module is not imported here, which would take milliseconds.  Without it, there are no
+    # children.
     multiprocessing = sys.modules.get("multiprocessing")
     for child in multiprocessing.active_children() if multiprocessing else ():
         with suppress(OSError):  # it has ended meanwhile

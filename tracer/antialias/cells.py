@@ -18,7 +18,7 @@ from tracer.arrays import Floats, Ints, find
 class Cells(NamedTuple):
     """Cells of one width, with the accuracy that is requested in each."""
 
-    width: float  # of each cell, in pixels
+    width: float  # width of each cell, in pixels
     # The result should be as accurate as a uniform grid of this many samples along each side of a
     # cell.  The number decides whether a cell that edges cross is sampled or divided.
     samples_per_side: int
@@ -26,8 +26,8 @@ class Cells(NamedTuple):
     # be represented by lines, and which smooth cells need no more samples.
     tolerance: float
     center_x: Shaped[Floats, "cells"]  # in pixels from the left edge of the picture
-    center_y: Shaped[Floats, "cells"]  # in pixels from its upper edge
-    # Pairs of a cell and an object whose silhouette may cross the cell.
+    center_y: Shaped[Floats, "cells"]  # in pixels from the upper edge of the picture
+    # The cell and the object of each pair: the object's silhouette may cross the cell.
     pair_cell_index: Shaped[Ints, "pairs"]
     pair_object_index: Shaped[Ints, "pairs"]
 
@@ -50,7 +50,8 @@ class Cells(NamedTuple):
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
-        divided_index = np.full(self.center_x.size, -1)  # of each cell; -1 if it is not divided
+        # For each cell, its position in `cell_index`; -1 if the cell is not divided.
+        divided_index = np.full(self.center_x.size, -1)
         divided_index[cell_index] = np.arange(cell_index.size)
         pair_divided_index = divided_index[self.pair_cell_index]
         kept_index = find(pair_divided_index >= 0)

@@ -57,7 +57,7 @@ class Classification(NamedTuple):
 
     cells: Cells
     center_samples: CenterSamples
-    lines: Lines  # sorted by cell, at most `MAX_LINES` for each
+    lines: Lines  # sorted by cell, at most `MAX_LINES` for each cell
     is_unresolved: Shaped[Bools, "cells"]
     is_crowded: Shaped[Bools, "cells"]
 
@@ -102,7 +102,7 @@ class _FoundEdges(NamedTuple):
     """
 
     lines: Lines
-    unresolved_index: Shaped[Ints, "k"]
+    unresolved_index: Shaped[Ints, "k"]  # cells that lines do not represent completely
     crowded_index: Shaped[Ints, "j"]  # cells with too many shadow edges of one light
 
 

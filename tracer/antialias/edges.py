@@ -165,10 +165,10 @@ class CellSurfaces(NamedTuple):
     """
 
     hits: Hits
-    faces: _ExtendedFaces  # that the hits are on
+    faces: _ExtendedFaces  # the faces that the hits are on
     cell_index: Shaped[Ints, "hits"]
     footprint_radius: Shaped[Floats, "hits"]
-    cell_width: float  # in pixels
+    cell_width: float  # width of all cells, in pixels
 
     @classmethod
     def from_hits(
@@ -214,16 +214,16 @@ class CellSurfaces(NamedTuple):
         """Yield edges where the visible surface of a cell may meet a planar face behind it.
 
         A hidden hit is on one face of its object, but the visible surface may meet the other faces
-        of this object, too.  They are compared at the points where the ray through the center of
-        the cell meets their planes.
+        of this object, too.  Each of them is compared with the visible surface at the point where
+        the ray through the center of the cell meets the plane of the face.
 
         Parameters
         ----------
         visible_hit_index
             Index of the visible hit in front of each hidden hit, on the same ray from the eye.
         is_close
-            Whether the two surfaces may meet near the hidden hit.  Only such hidden hits are
-            examined, and those on objects that contain the eye.
+            Whether the two surfaces may meet near the hidden hit.  Only such hidden hits, and
+            hidden hits on objects that contain the eye, are examined.
         """
         cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
         hidden_object = hidden_hits.hit_object

@@ -171,7 +171,7 @@ def _compute_cell_means(
     """Compute the mean radiance of cells; sample or divide those that edges may cross.
 
     A cell keeps its estimated mean if no edge may cross it and the estimated error is within the
-    tolerance.  So do all cells that are not refinable.
+    tolerance.  A cell that is not refinable keeps its estimated mean in any case.
     """
     cells = classification.cells
     cell_mean = estimate.radiance.copy()
@@ -253,7 +253,8 @@ def _select_lines(classification: Classification, cell_index: Shaped[Ints, "n"])
     `cell_index` must be in ascending order, and must not contain duplicates.
     """
     lines = classification.lines
-    new_index = np.full(classification.cells.center_x.size, -1)  # of each cell; -1 if not selected
+    # For each cell, its number in the result; -1 if the cell is not selected.
+    new_index = np.full(classification.cells.center_x.size, -1)
     new_index[cell_index] = np.arange(cell_index.size)
     line_cell_index = new_index[lines.cell_index]
     selected = find(line_cell_index >= 0)

@@ -1,10 +1,10 @@
 """Estimate the mean radiance of smooth cells from their center samples.
 
 A cell (a pixel or a square part of a pixel) is *smooth* if no edge crosses it.  Its mean radiance
-is that of its *center sample*, plus a correction for the curvature of the radiance.  Differences
-between the samples of neighbouring cells give the correction, and an estimate of the remaining
-error.  Only samples with the same *id* are compared: their rays hit the same face of the same
-object, and the same lights are visible from both hits.
+is the radiance of its *center sample*, plus a correction for the curvature of the radiance.
+Differences between the samples of neighbouring cells give the correction, and an estimate of the
+remaining error.  Only samples with the same *id* are compared: their rays hit the same face of the
+same object, and the same lights are visible from both hits.
 """
 
 from __future__ import annotations

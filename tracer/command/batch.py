@@ -57,13 +57,14 @@ _MIN_SHARED_SECONDS = 1.0
 class Settings(NamedTuple):
     """The settings that all pictures of a command have in common."""
 
-    samples: int  # per pixel
+    samples: int  # number of samples per pixel
     # Width, or width and height, of the pictures in pixels.  If only a width is given, the aspect
     # ratio of each scene file is kept; None keeps the size in the file.
     size: tuple[int, ...] | None
     file_format: str  # a key of `FORMATS`
     quiet: bool  # whether to print only errors
-    crop: tuple[int, int, int, int] | None = None  # the part of the pictures: see `render`
+    # The part of each picture to render: x and y of its top left pixel, its width and its height.
+    crop: tuple[int, int, int, int] | None = None
 
 
 class Job(NamedTuple):
@@ -71,7 +72,8 @@ class Job(NamedTuple):
 
     scene_path: str  # "-" is standard input
     output_path: str  # "-" is standard output
-    # Minimum estimated seconds for which all workers share the picture; chosen by `_Run`.
+    # All workers share the picture if it takes at least this many seconds, by estimate.  Chosen by
+    # `_Run`.
     min_shared_seconds: float = 0.0
 
 
@@ -90,7 +92,7 @@ class Report(NamedTuple):
     """The lines to print about a scene whose picture was written or could not be written."""
 
     pixel_count: int = 0  # 0 if the picture could not be written
-    line: str = ""  # about the picture; empty if it was not written, or the command is quiet
+    line: str = ""  # line about the picture; empty if it was not written or the command is quiet
     # Lines for standard error: why the picture was not written, or warnings about the scene.
     notices: tuple[str, ...] = ()
 
@@ -148,8 +150,8 @@ class _Run:
         self._pool = batch.pool
         self._jobs = jobs
         self._progress = progress
-        self._finished_count = 0  # of scenes
-        self._pixel_count = 0  # in the pictures of the finished scenes
+        self._finished_count = 0  # number of finished scenes
+        self._pixel_count = 0  # number of pixels in the pictures of the finished scenes
         # If a worker declines a scene or fails, for example because it lacks memory, this thread
         # renders the scene.
         self._distribution = Distribution[Job | _Tile, Any](
@@ -168,7 +170,7 @@ class _Run:
             yield report
 
     def _list_items(self) -> Iterator[Job]:
-        """List the scenes, each with the time from which all workers share its picture."""
+        """List the scenes, each with the minimum time of a picture that all workers share."""
         # At the end, too few scenes are left to occupy all workers, so they share even small ones.
         last_count = len(self._jobs) % (self._pool.worker_count + 1)
         for index, job in enumerate(self._jobs):
@@ -271,7 +273,7 @@ def _write_picture(
     settings: Settings,
     render_job: RenderJob,
     tiles: Iterable[EncodedTile],
-    start_time: float,  # of `perf_counter`
+    start_time: float,  # when the job began, by `perf_counter`
 ) -> Report:
     """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
     file_format = FORMATS[settings.file_format]
@@ -312,9 +314,10 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
     Parameters
     ----------
     path
-        "-" is standard input.
+        Path of the file; "-" is standard input.
     size
-        As in `Settings`.
+        Width, or width and height, of the picture in pixels.  If only a width is given, the aspect
+        ratio in the file is kept; None keeps the size in the file.
 
     Raises
     ------

@@ -319,11 +319,11 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
 
 @dataclass(frozen=True)
 class _FileVersion:
-    """A version of a scene file.  Two are equal if the file was not saved between them."""
+    """A version of a scene file.  Versions are equal if the file was not saved between them."""
 
     # Modification time, size and inode number; None if the file cannot be accessed.
     status: tuple[int, int, int] | None
-    checksum: int  # of the content
+    checksum: int  # checksum of the content
     first_seen: float = field(compare=False)  # when the status was first seen, by `monotonic`
     # Whether the status is so old that every later save will change it.
     is_settled: bool = field(compare=False)

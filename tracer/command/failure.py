@@ -21,9 +21,9 @@ class Failure(Exception):  # noqa: N818
     """The failure of a task.  Its `str` is the line for the user: ``SUBJECT: PROBLEM; REMEDY``."""
 
     subject: str  # name of the file, folder or stream concerned; may be empty
-    problem: str  # for example "cannot be written: No space left on device"
+    problem: str  # what went wrong, such as "cannot be written: No space left on device"
     remedy: str  # what the user can do; may be empty
-    exit_status: int  # of the command if this is its only failure
+    exit_status: int  # exit status of the command if this is its only failure
 
     def __init__(self, subject: str, problem: str, remedy: str = "", exit_status: int = 1) -> None:
         super().__init__(subject, problem, remedy, exit_status)  # so that it can be pickled

@@ -42,7 +42,7 @@ class Progress:
         False if no bar is wanted.
     """
 
-    _bar: Any  # from tqdm; None if no bar has been created
+    _bar: Any  # a bar of tqdm; None if none has been created
     _may_create_bar: bool
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:

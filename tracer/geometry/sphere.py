@@ -339,7 +339,7 @@ class Spheres(Shape):
         ray: Shaped[Triple, "#m n"],
         inverse_t: Shaped[Floats, "m n"],
     ) -> Shaped[Triple, "m n"]:
-        # The vector from the centre to the point t * ray, divided by t.
+        # The result is the vector from the centre to the point t * ray, divided by t.
         center = take(self.from_eye, self.objects.to_local(object_index))
         return map_xyz(np.subtract, ray, scale(center, inverse_t))
 

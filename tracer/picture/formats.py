@@ -35,7 +35,7 @@ class TileEncoder(Protocol):
 class EncodedTile(NamedTuple):
     """A rendered tile, in a form for a file."""
 
-    data: Any  # from a `TileEncoder`
+    data: Any  # what a `TileEncoder` returned
     exposure: Exposure
 
 

@@ -53,8 +53,8 @@ class SceneWarning(UserWarning):
 def warn_user(message: str, category: type[Warning], *, in_notebook: bool = False) -> None:
     """Give a warning that names the innermost line of the user's code.
 
-    That is the innermost line outside of the tracer.  While a notebook shows a scene, its own
-    functions are between that line and the tracer; then it is the innermost line of `__main__`.
+    That is the innermost line outside of the tracer.  While a notebook shows a scene, functions of
+    the notebook call the tracer, so the innermost line of `__main__` is named instead.
     """
 
     def is_user_code(module_name: str) -> bool:
@@ -62,7 +62,7 @@ def warn_user(message: str, category: type[Warning], *, in_notebook: bool = Fals
             return module_name == "__main__"
         return module_name.partition(".")[0] != "tracer"
 
-    level = 1  # of this function, as `warnings.warn` counts
+    level = 1  # `warnings.warn` counts this function as level 1
     frame = sys._getframe()
     while frame.f_back is not None and not is_user_code(frame.f_globals.get("__name__", "")):
         frame = frame.f_back
@@ -74,8 +74,9 @@ class Exposure(NamedTuple):
     """Counts of lit and clipped pixels in a picture, or in a tile of it."""
 
     pixel_count: int = 0
-    lit_count: int = 0  # not black; 0 only if all pixels are black
-    clipped_count: int = 0  # with a component larger than 1, which a PNG file cannot represent
+    lit_count: int = 0  # number of pixels that are not black; 0 only if all are black
+    # Number of pixels with a component larger than 1, which a PNG file cannot represent.
+    clipped_count: int = 0
 
     @classmethod
     def from_radiance(cls, radiance: Shaped[Floats, "rows columns 3"]) -> Exposure:

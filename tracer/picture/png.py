@@ -106,7 +106,7 @@ class CompressedTile(NamedTuple):
     # Deflate blocks (RFC 1951).  They end at the end of a byte, and none is marked as the last
     # block of a stream, so the blocks of several tiles can be joined.
     data: bytes
-    size: int  # in bytes, before compression
+    size: int  # number of bytes before compression
     checksum: int  # Adler-32 (RFC 1950) of the bytes before compression
 
 

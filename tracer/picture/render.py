@@ -134,7 +134,7 @@ def _share_with_executor(
     )
     tiles = job.divide(sharing)
     for tile, radiance in zip(tiles, distribution.process(tiles), strict=True):
-        if radiance is not None:  # from the executor
+        if radiance is not None:  # the executor rendered the tile
             image[job.find_place(tile)] = radiance
 
 

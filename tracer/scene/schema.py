@@ -75,7 +75,7 @@ class FieldError(NamedTuple):
     """An error in a field of one object."""
 
     row: int  # index of the object among those that were checked
-    name: str  # of the field
+    name: str  # name of the field
     message: str  # what is wrong, without the name of the field
 
 
@@ -159,8 +159,8 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
 class _Rule(NamedTuple):
     """A rule that the numbers in each row of a field must obey."""
 
-    find_invalid: Callable[[Floats], Bools]  # takes rows, and marks the numbers that violate it
-    message: str  # in which {} stands for the invalid number
+    find_invalid: Callable[[Floats], Bools]  # takes rows, and marks the numbers that break the rule
+    message: str  # what is wrong; {} stands for the invalid number
 
 
 _MAX_TEXT = format_number(_MAX_VALUE)
@@ -177,7 +177,7 @@ _NOT_ZERO = _Rule(lambda x: (x == 0) & ~x.any(axis=1, keepdims=True), "must not 
 class NumberValidator:
     """The validator of a field that consists of one or several numbers, such as a point."""
 
-    number_count: int  # in each row
+    number_count: int  # count of numbers in each row
     rules: tuple[_Rule, ...]
     requirement: str  # the count as a phrase for messages: "needs 3 numbers"
 
@@ -189,8 +189,8 @@ class NumberValidator:
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Validate the value of the field in one object, and return the value to store.
 
-        That is a tuple of floats, or a float if `number_count` is 1.  Raise `SceneError` if the
-        value has the wrong type or shape, or violates a rule.
+        The result is a tuple of floats, or a float if `number_count` is 1.  Raise `SceneError` if
+        the value has the wrong type or shape, or violates a rule.
         """
         array = _copy_floats(value, name)
         if array.size != self.number_count or array.ndim > 1:
@@ -204,7 +204,7 @@ class NumberValidator:
         """Copy the rows of the field into an array: (n, number_count), or (n,) for one number.
 
         Raise `SceneError`, with the name of the field, if the values have the wrong type or shape.
-        The rules are not checked: see `find_invalid_rows`.
+        The rules are not checked here, but by `find_invalid_rows`.
         """
         array = _copy_floats(values, name)
         if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):

@@ -120,7 +120,8 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
             n_dot_l = group.compute_height(lights.position[light_index], to_light)
             if is_blocker[group.run_object].any():
-                # Not 0, which would mean that the light is exactly on the hit's horizon.
+                # The number is not 0, because this would mean that the light is exactly on the
+                # horizon of the hit.
                 n_dot_l[group.repeat_runs(is_blocker[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
             geometry.squared_distance[light_index, group.interval] = dot(to_light, to_light)
@@ -155,7 +156,7 @@ class Shading:
     """The radiance that n hits reflect towards the eye, summed over lights that are added."""
 
     # For each hit, an integer that encodes the object, the axis of its face, and the lights that
-    # are visible from the hit; empty unless `with_ids` is true.
+    # are visible from the hit.  The array is empty unless `with_ids` is true.
     visibility_ids: Shaped[Ints, "ids"]
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:

@@ -73,7 +73,7 @@ class _Intersections(NamedTuple):
     sample_index: Shaped[Ints, "n"]
     ray_x: Shaped[Floats, "n"]
     t: Shaped[Floats, "n"]
-    hit_data: Shaped[NDArray[Any], "n"]  # see `Shape.intersect`
+    hit_data: Shaped[NDArray[Any], "n"]  # face code, or what else `Shape.intersect` returned
 
     @property
     def pair_object(self) -> Shaped[Ints, "n"]:

@@ -43,7 +43,7 @@ class BoxParts(NamedTuple):
     octant_index: Shaped[Ints, "parts"]
     box_index: Shaped[Ints, "parts"]  # light * n + box
     rectangles: Shaped[Floats, "4 parts"]  # minimum and maximum of u, then of v
-    bounds: Shaped[Floats, "8 parts"]  # direction bounds: see `_bound_directions`
+    bounds: Shaped[Floats, "8 parts"]  # direction bounds, row by row as in `_bound_directions`
 
     def take(self, part_index: Shaped[Ints, "k"]) -> BoxParts:
         return BoxParts._make(field.take(part_index, axis=-1) for field in self)
@@ -69,7 +69,7 @@ def split_by_octant(
     vector_min, vector_max
         Smallest and largest components of the vectors in each box.
     keeps_octant
-        Whether the result contains parts in the octant of the light: see `BoxParts.octant_index`.
+        Whether the result contains parts in the octant of a light; element octant * lights + light.
     keeps_box
         Whether the result contains parts of the box.
     """

@@ -1,8 +1,12 @@
 """A scene prepared for one camera: the data that all samples of a picture share.
 
-In `trace` and `antialias`, `scene` is a `PreparedScene`.  Lights are prepared when they are first
-needed, in batches, which a cache keeps.  Threads may share a `PreparedScene`, because its arrays
-never change, and a lock protects the cache.
+A `PreparedScene` holds one array for each property of objects, such as their bounding rectangles in
+the picture and their colours.  Lights are prepared in batches when they are first needed, and a
+cache keeps the batches.  Threads may share a `PreparedScene`, because its arrays never change, and
+a lock protects the cache.
+
+The parameters and attributes named `scene` in `tracer.trace` and `tracer.antialias` are of this
+class.
 """
 
 from __future__ import annotations
@@ -48,8 +52,9 @@ _MAX_CACHED_BYTES = 1 << 26
 # twice the width, between 0.98 and 1.06 times.
 _PACKET_SCALE = 0.75
 
-# The shader from which the highlights of surfaces without highlights are taken.
-_NOT_GLOSSY = Phong(exponent=0.0)
+# Stands in for shaders that are not `Phong` when specular colours and exponents are collected in
+# arrays.  Its specular colour is black, so it causes no highlights.
+_NOT_GLOSSY = Phong(specular=(0.0, 0.0, 0.0), exponent=0.0)
 
 # The hash of an object is the sum of its numbers, each times one of these factors.  There must be
 # as many factors as an object of any kind has numbers.
@@ -62,7 +67,7 @@ class Lights(NamedTuple):
     position: Shaped[Floats, "lights 3"]  # in scene axes
     from_eye: Shaped[Floats, "lights 3"]  # vectors from the eye, in camera axes
     intensity: Shaped[Floats, "lights 3"]  # linear RGB
-    side: Shaped[Sides, "lights objects"]  # from `Shape.find_light_side`
+    side: Shaped[Sides, "lights objects"]  # whether the light is OUTSIDE, ON or INSIDE
     grid: LightGrid | None  # None if no object can be in shadow
 
     @property
@@ -90,11 +95,13 @@ class PreparedScene:
 
     surfaces: Surfaces
     frame: CameraFrame
-    shapes: tuple[Shape, ...]  # those with at least one object, in the order of their indices
+    shapes: tuple[Shape, ...]  # the shapes with at least one object, in the order of `SHAPES`
     # Bounding rectangles in the picture.  The rectangle of a duplicate has top > bottom.
     bounds: ScreenBounds
-    are_rows_bounded_by_ends: bool  # whether `Shape.are_rows_bounded_by_ends` for all shapes
-    is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
+    # Whether the following holds for all shapes.  If hits on one face are consecutive in a row of
+    # the picture, the sphere whose diameter leads from the first to the last contains all of them.
+    are_rows_bounded_by_ends: bool
+    is_eye_inside: Shaped[Bools, "objects"]  # whether the eye is inside or on the object
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
     # Whether the object equals an object earlier in the file.  A duplicate is never visible, and
     # its shadow equals the shadow of the earlier object.
@@ -108,7 +115,7 @@ class PreparedScene:
     exponent: Shaped[Floats, "objects"]
     is_glossy: Shaped[Bools, "objects"]  # whether the object has highlights
     position_error: Shaped[Floats, "objects"]  # upper bound on rounding errors of points on it
-    packet_width: float  # in pixels; a packet is a group of neighbouring hits
+    packet_width: float  # width, in pixels, of a packet (a group of neighbouring hits)
 
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.surfaces = scene.surfaces
@@ -117,11 +124,11 @@ class PreparedScene:
         self._prepare_shaders()
         self.light_count = len(scene.lights)
         self._lights = scene.lights
-        self._cache = dict[int, Lights]()  # by the index of the first light in the batch
+        self._cache = dict[int, Lights]()  # each key is the index of the first light in the batch
         self._lock = Lock()
 
     def _prepare_objects(self) -> None:
-        """Set the attributes that follow from the positions and sizes of objects."""
+        """Set the attributes that depend on the positions and sizes of objects."""
         shapes = [shape.from_surfaces(self.frame, self.surfaces) for shape in SHAPES]
         self._all_shapes = shapes
         self.shapes = tuple(shape for shape in shapes if shape.objects.size)
@@ -143,7 +150,7 @@ class PreparedScene:
         self.packet_width = _choose_packet_width(self.frame, coordinate_bound.size)
 
     def _prepare_shaders(self) -> None:
-        """Set the colours and exponents of objects."""
+        """Set the attributes that depend on the shaders of objects."""
         shaders, shader_index = self.surfaces.shaders, self.surfaces.shader_index
         glossy = [s if isinstance(s, Phong) else _NOT_GLOSSY for s in shaders]
         diffuse = np.array([shader.diffuse for shader in shaders]).reshape(-1, 3)
@@ -205,7 +212,10 @@ class PreparedScene:
 
 
 def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
-    """Choose the width of packets, in pixels: see `_PACKET_SCALE`."""
+    """Choose the width, in pixels, of packets (groups of neighbouring hits).
+
+    It is proportional to the width of an object if objects of equal size fill the picture.
+    """
     # Packets lie along rows.  If pixels are narrower than high, packets are more pixels wide.  If
     # pixels are lower than wide, there are more packets instead.
     pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
