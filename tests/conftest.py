@@ -13,6 +13,9 @@ from hypothesis import settings
 # Before the first import of these packages.
 shapes.install("tracer", "converters", "reference")
 
+# Commands leave no compiled modules in the folders whose files tests list.
+os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+
 # Numbers of examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
 # tries the same examples in every run.  The thorough profile tries more, which depend on the seed
 # that `.ci/run` passes.

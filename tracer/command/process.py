@@ -70,7 +70,8 @@ def _import_and_call_main(module_name: str) -> int:
     try:
         # First, because deep inside other imports it may take 6 ms longer: Python 3.11 requests
         # memory for its stack anew in each call at certain depths.
-        import_module("numpy")
+        with suppress(ImportError):  # reported below, or by the command
+            import_module("numpy")
         result = attempt(import_module(module_name).main)
         return result.exit_status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
