@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import accumulate, product
 from typing import Annotated as Shaped
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,7 +58,6 @@ _LABELS = {
     _CERTIFIED_TRACER: "this tracer, certified (python -m reference.certify)",
     _MITSUBA: f"Mitsuba ({LLVM}), flavour exact, multijitter\nsampler; all processors",
 }
-
 
 # Two series of options of POV-Ray's adaptive antialiasing, by level.  A pixel is divided, at most R
 # times, where neighbouring samples differ by more than the threshold A.  The first series is faster
@@ -99,40 +98,52 @@ _EIGHT_BIT_ERROR = 1e-3
 # Style of the numbers of samples in the chart, next to the points of this tracer.
 _LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "right", "va": "top"}
 
+_PANEL_HEIGHT_INCHES = 2.5
 
-# Height of a row of panels in inches.
-_ROW_HEIGHT = 2.5
+# The header contains the title and the note; the footer, the lowest labels and the origin.
+_HEADER_HEIGHT_INCHES = 1.45
+_FOOTER_HEIGHT_INCHES = 0.7
 
-# Height of the title and the note above the panels in inches.
-_HEADER_HEIGHT = 1.45
+# The note above the panels, line by line.
+_NOTE_LINES = (
+    "Time of rendering alone, and root mean square error of the linear radiance compared with a"
+    " certified picture.  Each point is",
+    "a picture with 1, 4, 16, ... samples per pixel; this tracer also has points with 9, 36, ..."
+    " samples.  Its curve has steps, because it",
+    "divides pixels into quarters.  POV-Ray uses thresholds from 0.3 to 0.001; only its best"
+    " settings are shown.  The certified tracer",
+    "permits errors of 1/8, 1/32, ... in every pixel.  Mitsuba and POV-Ray use all processors, the"
+    " others one.",
+)
 
-# Height of the last labels and of the origin, below the panels, in inches.
-_FOOTER_HEIGHT = 0.7
 
-# Titles of the table's columns.  For the certified tracer, `samples` is the reciprocal of the
-# permitted error; for POV-Ray, it is the options.  `seconds`, `low` and `high` are the median, the
-# minimum and the maximum.
-_COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
+class _Row(NamedTuple):
+    """A row of the table, which is a point of a curve in the chart."""
+
+    scene: str
+    method: str
+    # Samples per pixel.  For the certified tracer, the reciprocal of the permitted error; for
+    # POV-Ray, its options.
+    samples: str
+    rmse: float
+    seconds: float  # the median of all rounds
+    low: float  # the minimum
+    high: float  # the maximum
 
 
-# A method, and a number from 0 for each series of pictures that the method renders.
-_Series: TypeAlias = tuple[str, int]
+class _Series(NamedTuple):
+    """Pictures of increasing quality that a method renders."""
+
+    method: str
+    number: int = 0  # distinguishes the series of a method
 
 
 class _RenderingTask(NamedTuple):
     """A function to be timed, and the samples of its picture."""
 
-    samples: str  # see `_COLUMNS`
+    samples: str  # see `_Row`
     # Returns an image; for POV-Ray, the time that it reports, which does not include its start.
     render: Callable[[], Any]
-
-
-class _Point(NamedTuple):
-    """A point of a curve."""
-
-    samples: str  # see `_COLUMNS`
-    error: float
-    seconds: float
 
 
 def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Shaped[Floats, "height width 3"]:
@@ -156,14 +167,16 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingT
     loaded_scene = mi.load_string(mitsuba_xml)
     render_by_brute_force = partial(_render_by_brute_force, scene, 2**level)
     return {
-        (_TRACER, 0): _RenderingTask(str(samples), partial(render, scene, samples)),
-        (_TRACER, 1): _RenderingTask(str(more_samples), partial(render, scene, more_samples)),
-        (_CERTIFIED_TRACER, 0): _RenderingTask(
+        _Series(_TRACER): _RenderingTask(str(samples), partial(render, scene, samples)),
+        _Series(_TRACER, 1): _RenderingTask(
+            str(more_samples), partial(render, scene, more_samples)
+        ),
+        _Series(_CERTIFIED_TRACER): _RenderingTask(
             str(reciprocal_error), lambda: certify(scene, 1 / reciprocal_error).image
         ),
-        (_GRID, 0): _RenderingTask(str(samples), partial(render_supersampled, scene, 2**level)),
-        (_ALL_PAIRS, 0): _RenderingTask(str(samples), render_by_brute_force),
-        (_MITSUBA, 0): _RenderingTask(str(samples), lambda: np.array(mi.render(loaded_scene))),
+        _Series(_GRID): _RenderingTask(str(samples), partial(render_supersampled, scene, 2**level)),
+        _Series(_ALL_PAIRS): _RenderingTask(str(samples), render_by_brute_force),
+        _Series(_MITSUBA): _RenderingTask(str(samples), lambda: np.array(mi.render(loaded_scene))),
     }
 
 
@@ -175,14 +188,14 @@ def _make_povray_tasks(scene: Scene, level: int) -> dict[_Series, _RenderingTask
             options = "+AM2", *schedule[level].split(), "-J"
             picture_path = build_path(_POVRAY_PICTURE)
             command = povray.prepare_linear_command(scene, picture_path, *options)
-            tasks[_POVRAY, index] = _RenderingTask(
+            tasks[_Series(_POVRAY, index)] = _RenderingTask(
                 samples=schedule[level], render=partial(povray.render_and_time, command)
             )
     return tasks
 
 
-def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
-    """Time all rendering methods on one scene, and yield the rows of the table (`_COLUMNS`).
+def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[_Row]:
+    """Time all rendering methods on one scene, and yield the rows of the table.
 
     With `quick`, there are fewer points, and the reference picture is less accurate.
     """
@@ -199,30 +212,46 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
             {series: task.render for series, task in tasks.items()}, _MIN_ROUNDS
         )
         for series, timing in timings.items():
-            method, _ = series
+            # Timing keeps no pictures, and all series of POV-Ray write the same file.
             result = tasks[series].render()
-            if method == _POVRAY:
+            if series.method == _POVRAY:
                 result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
             image = np.asarray(result, dtype=np.float64)  # Mitsuba's is float32
             error = compute_rms_error(image, reference_image)
             if error > min_error:
-                yield (name, method, tasks[series].samples, error, *timing)
+                yield _Row(
+                    scene=name,
+                    method=series.method,
+                    samples=tasks[series].samples,
+                    rmse=error,
+                    seconds=timing.median,
+                    low=timing.low,
+                    high=timing.high,
+                )
             if timing.median > _MAX_SECONDS or error <= min_error:
                 finished_series.add(series)
         tasks.clear()  # delete Mitsuba's scene before the next one is loaded
 
 
-def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
+def _parse_row(cells: Sequence[str]) -> _Row:
+    """Parse the cells of a row of the CSV file."""
+    scene, method, samples, *numbers = cells
+    rmse, seconds, low, high = map(float, numbers)
+    return _Row(scene, method, samples, rmse, seconds, low, high)
+
+
+def _draw_chart(csv_rows: Sequence[Sequence[str]]) -> Any:
     """Draw a panel for each scene in the table, in two columns, and then the legend."""
-    titles = list(dict.fromkeys(row[0] for row in rows))
+    rows = [_parse_row(cells) for cells in csv_rows]
+    titles = list(dict.fromkeys(row.scene for row in rows))
     row_count = len(titles) // 2 + 1
-    height = _HEADER_HEIGHT + row_count * _ROW_HEIGHT + _FOOTER_HEIGHT
+    height = _HEADER_HEIGHT_INCHES + row_count * _PANEL_HEIGHT_INCHES + _FOOTER_HEIGHT_INCHES
     figure, axes_grid = plt.subplots(
         row_count, 2, figsize=(CHART_WIDTH, height), sharex=True, sharey=True
     )
     panels = axes_grid.ravel()
     for axes, title in zip(panels, titles, strict=False):
-        _draw_panel(axes, title, [row[1:] for row in rows if row[0] == title])
+        _draw_panel(axes, title, [row for row in rows if row.scene == title])
     panels[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
     for axes in panels[len(titles) :]:
         axes.axis("off")
@@ -232,26 +261,23 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     figure.subplots_adjust(
         left=0.08,
         right=0.98,
-        bottom=_FOOTER_HEIGHT / height,
-        top=1 - _HEADER_HEIGHT / height,
+        bottom=_FOOTER_HEIGHT_INCHES / height,
+        top=1 - _HEADER_HEIGHT_INCHES / height,
         hspace=0.5,
         wspace=0.16,
     )
     return figure
 
 
-def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
-    """Draw the curve of each method in one scene; for the rows see `_find_curve`."""
+def _draw_panel(axes: Any, title: str, rows: Sequence[_Row]) -> None:
+    """Draw the curve of each method, from the rows of one scene."""
     for method, label in _LABELS.items():
         curve = _find_curve(rows, method)
-        axes.loglog(
-            [point.seconds for point in curve], [point.error for point in curve], label=label
-        )
-        for point in curve if method == _TRACER else ():
+        axes.loglog([row.seconds for row in curve], [row.rmse for row in curve], label=label)
+        for row in curve if method == _TRACER else ():
             # Label only 1, 4, 16, ... samples, because 9 often give the same picture as 16.
-            if int(point.samples).bit_count() == 1:
-                place = point.seconds, point.error
-                axes.annotate(point.samples, place, (-5, -3), **_LABEL_STYLE)
+            if int(row.samples).bit_count() == 1:
+                axes.annotate(row.samples, (row.seconds, row.rmse), (-5, -3), **_LABEL_STYLE)
     rounding_label = "error of rounding to 8 bits"
     axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
     axes.set(title=title, xlabel="time", ylabel="RMSE")
@@ -259,26 +285,22 @@ def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
     axes.tick_params(labelbottom=True)
 
 
-def _find_curve(rows: Sequence[Sequence[str]], method: str) -> list[_Point]:
+def _find_curve(rows: Sequence[_Row], method: str) -> list[_Row]:
     """Find the points of a method's curve, in the order in which they are connected.
 
-    `rows` contain a method, samples, an error and times each.  If points have the same error, only
-    the one with the most samples is kept.  Of POV-Ray's points, only those are kept for which no
-    other setting is both faster and more accurate.
+    `rows` are those of one scene.  If points have the same error, only the one with the most
+    samples is kept.  Of POV-Ray's points, only those are kept for which no other setting is both
+    faster and more accurate.
     """
-    points = [
-        _Point(samples=row[1], error=float(row[2]), seconds=float(row[3]))
-        for row in rows
-        if row[0] == method
-    ]
+    points = [row for row in rows if row.method == method]
     if method == _POVRAY:
         by_time = sorted(points, key=lambda point: point.seconds)
-        best_errors = accumulate((point.error for point in by_time), min, initial=np.inf)
+        best_errors = accumulate((point.rmse for point in by_time), min, initial=np.inf)
         return [
-            point for point, best in zip(by_time, best_errors, strict=False) if point.error < best
+            point for point, best in zip(by_time, best_errors, strict=False) if point.rmse < best
         ]
     by_samples = sorted(points, key=lambda point: int(point.samples))
-    return list({point.error: point for point in by_samples}.values())
+    return list({point.rmse: point for point in by_samples}.values())
 
 
 def _load_scenes(quick: bool) -> dict[str, Scene]:
@@ -297,7 +319,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
     }
 
 
-def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
+def _measure_all_scenes(quick: bool) -> Iterator[_Row]:
     """Yield the rows of all scenes; raise ImportError if Mitsuba's LLVM variant does not work."""
     use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
@@ -308,13 +330,6 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
 
 def main() -> None:
     """Measure the times and errors of all methods, store them in a table, and draw the chart."""
-    note = (
-        "Time of rendering alone, and root mean square error of the linear radiance compared with a"
-        " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"
-        " tracer also has points with 9, 36, ... samples.  Its curve has steps, because it\ndivides"
-        " pixels into quarters.  POV-Ray uses thresholds from 0.3 to 0.001; only its best settings"
-        " are shown.  The certified tracer\npermits errors of 1/8, 1/32, ... in every pixel."
-        "  Mitsuba and POV-Ray use all processors, the others one."
-    )
     title = "Time against error: lower left is better"
-    run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, title, note)
+    note = "\n".join(_NOTE_LINES)
+    run_chart_command("speed_accuracy", _Row._fields, _measure_all_scenes, _draw_chart, title, note)

@@ -119,12 +119,14 @@ def test_the_chart_has_a_panel_for_each_scene_and_a_legend(scene_count):
 
 def test_curves_are_sorted_and_show_the_best_settings_of_povray():
     errors = {"16": 1e-3, "4": 1e-3, "1": 1e-1}
-    rows = [make_row("room", "this tracer", n, error, 1.0)[1:] for n, error in errors.items()]
+    cells = [make_row("room", "this tracer", n, error, 1.0) for n, error in errors.items()]
+    rows = [*map(speed_accuracy._parse_row, cells)]
     curve = speed_accuracy._find_curve(rows, "this tracer")
     assert [point.samples for point in curve] == ["1", "16"]
     # "b" is slower than "a" and has a larger error.
     settings = {"d": (1e-4, 9.0), "b": (3e-3, 2.0), "a": (2e-3, 1.0), "c": (1e-3, 3.0)}
-    rows += [make_row("room", "POV-Ray adaptive", s, *point)[1:] for s, point in settings.items()]
+    cells = [make_row("room", "POV-Ray adaptive", s, *point) for s, point in settings.items()]
+    rows += map(speed_accuracy._parse_row, cells)
     curve = speed_accuracy._find_curve(rows, "POV-Ray adaptive")
     assert [point.samples for point in curve] == ["a", "c", "d"]
 
