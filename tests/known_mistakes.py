@@ -5,7 +5,7 @@ from typing import Annotated as Shaped
 import numpy as np
 
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
-from reference.handins.formulas import Array
+from reference.handins.formula_functions import Array
 from reference.handins.mistakes import list_mistakes
 from tracer import Scene
 

@@ -2,8 +2,8 @@
 
 `student.txt` lists the mistakes.
 
-The tests search for the mistakes with `reference.handins.formulas`, with which the source shares no
-code.
+The tests search for the mistakes with the formulas of `reference.handins`, with which the source
+shares no code.
 """
 
 import re

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.handins import symptoms
-from reference.handins.formulas import Array
+from reference.handins.formula_functions import Array
 from reference.handins.mistakes import PICTURE_FORMULAS
 from reference.handins.renderer import MAX_PIXELS, Cause, MistakeRenderer
 from reference.handins.search import Finding, Submission

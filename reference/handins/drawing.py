@@ -20,7 +20,8 @@ import numpy as np
 
 from reference.figures import decode_to_linear
 from reference.handins import mistakes
-from reference.handins.formulas import Array, Formulas, collect_parameters, list_parameters
+from reference.handins.formula_functions import Array
+from reference.handins.formulas import Formulas, collect_parameters, list_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
@@ -212,7 +213,7 @@ def _make_constant_function(value: Any) -> Any:
 def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
     """Merge the formulas of several mistakes, by name.
 
-    Empty if two mistakes replace the same formula, and so exclude each other.
+    The result is empty if two mistakes replace the same formula, and so exclude each other.
     """
     joined_formulas = {name: formulas[name] for formulas in formula_maps for name in formulas}
     return joined_formulas if len(joined_formulas) == sum(map(len, formula_maps)) else {}

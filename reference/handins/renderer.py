@@ -19,38 +19,57 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
-from reference.handins.formulas import Array, Formulas, collect_parameters
+from reference.handins.formula_functions import Array
+from reference.handins.formulas import Formulas, collect_parameters
+from reference.handins.mistakes import (
+    ALWAYS_PAIRED,
+    ROUNDINGS,
+    VARIANTS,
+    Mistake,
+    list_mistakes,
+)
 from reference.pictures import Codes
 from tracer import Scene
 
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
-# Number of pixels at which all pairs of mistakes are rendered, in scenes with few surfaces.
+
+# Number of pixels at which all pairs of mistakes are rendered.  In scenes with many surfaces, it is
+# smaller, but not smaller than the minimum.
 _FIRST_PIXELS = 240
-# Minimum of this number, in scenes with many surfaces.
 _MIN_FIRST_PIXELS = 40
+
 # In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
 _MAX_PAIRED_SURFACES = 40
+
 # Maximum number of pixels at which many causes are rendered.  A random subset represents a larger
 # picture.
 MAX_PIXELS = 131_072
-# The same for pixels times surfaces.
+
+# Maximum number of pixels, times the number of surfaces, at which many causes are rendered.
 MAX_INTERSECTIONS = 2_000_000
-# The sample that represents a picture has a pixel for this many of these intersections, …
+
+# The sample that represents a picture has a pixel for this many of the intersections that
+# `MAX_INTERSECTIONS` permits.
 _INTERSECTIONS_PER_SAMPLE = 20
-# … but at least this many pixels, …
+
+# Minimum number of pixels in the sample, if the picture has so many.
 _MIN_SAMPLE_SIZE = 500
-# … which are chosen from this share of `MAX_PIXELS`.
+
+# The sample is chosen from a subset of at most this share of `MAX_PIXELS`.
 _SAMPLE_SHARE = 1 / 32
+
 # The sample represents light and shadow of at most this many lights.
 _MAX_SAMPLED_LIGHTS = 4
-# Maximum number of items from which items are chosen; a random subset represents more.
+
+# Maximum number of items from which items are chosen.  A random subset represents more items.
 _MAX_CANDIDATES = 1_000_000
-# Number of intersections in one batch of pixels: their arrays stay in the CPU cache.
+
+# Number of intersections in one batch of pixels.  Their arrays stay in the CPU cache.
 _INTERSECTIONS_PER_BATCH = 25_000
-# Minimum number of pixels in a batch: with fewer, the calls take longer than the arithmetic.
+
+# Minimum number of pixels in a batch.  With fewer, the calls take longer than the arithmetic.
 _MIN_BATCH_SIZE = 100
 
 Cause: TypeAlias = tuple[str, ...]
@@ -92,8 +111,12 @@ class MistakeRenderer:
     ----------
     source
         The scene at this size; or, if there is no scene, the reference picture.
+    reference_codes
+        The codes of the reference picture.
     surface_index
         The surface that each pixel shows; -1 for the background.
+    width
+        The width of the picture in pixels.
     base_formulas
         Formulas, by name, that replace the usual ones in all pictures.
     """
@@ -104,7 +127,7 @@ class MistakeRenderer:
     pixel_count: int
     surface_count: int
     # The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
-    mistakes: dict[str, mistakes.Mistake]
+    mistakes: dict[str, Mistake]
     # Number of pixels at which all causes are rendered; smaller in scenes with many surfaces.
     first_round_size: int
 
@@ -129,13 +152,20 @@ class MistakeRenderer:
         self.surface_count = len(scene.surfaces)
         pixel_share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
         self.first_round_size = max(_MIN_FIRST_PIXELS, int(pixel_share * _FIRST_PIXELS))
-        self.mistakes = mistakes.list_mistakes(scene)
+        self.mistakes = self._select_possible_mistakes(list_mistakes(scene))
+
+    def _select_possible_mistakes(self, candidates: dict[str, Mistake]) -> dict[str, Mistake]:
+        """Select the mistakes, by keyword, that can be rendered from the source.
+
+        A mistake cannot be rendered if it replaces a formula of `base_formulas`.
+        """
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
-        self.mistakes = {
-            keyword: mistake
-            for keyword, mistake in self.mistakes.items()
-            if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
-        }
+        possible_mistakes = {}
+        for keyword, mistake in candidates.items():
+            formulas = join_formulas([self.base_formulas, mistake.formulas])
+            if formulas and first_pixel.can_compute_codes(formulas):
+                possible_mistakes[keyword] = mistake
+        return possible_mistakes
 
     @cached_property
     def sample_index(self) -> Shaped[Ints32, "m"]:
@@ -153,7 +183,7 @@ class MistakeRenderer:
     @cached_property
     def variants(self) -> list[str]:
         """The variants that give the right picture of this scene."""
-        return [keyword for keyword in mistakes.VARIANTS if self._is_right((keyword,))]
+        return [keyword for keyword in VARIANTS if self._is_right((keyword,))]
 
     def _is_right(self, cause: Cause) -> bool:
         """Test whether the mistakes of a cause, if they can be rendered at all, change nothing."""
@@ -166,7 +196,7 @@ class MistakeRenderer:
     def get_formulas(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
 
-        Empty if two mistakes replace the same formula, and so exclude each other.
+        The result is empty if two mistakes replace the same formula, and so exclude each other.
         """
         return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
 
@@ -242,7 +272,7 @@ class MistakeRenderer:
         keywords = [
             keyword
             for keyword, mistake in self.mistakes.items()
-            if keyword not in mistakes.VARIANTS
+            if keyword not in VARIANTS
             and not self.needs_fitting(keyword)
             and not (has_many_surfaces and mistake.concerns_one_object)
         ]
@@ -254,9 +284,7 @@ class MistakeRenderer:
         pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
         # By picture.  The mistakes that are always paired are groups of their own, by keyword.
         groups: dict[bytes, list[Cause]] = {
-            keyword.encode(): [(keyword,)]
-            for keyword in mistakes.ALWAYS_PAIRED
-            if keyword in self.mistakes
+            keyword.encode(): [(keyword,)] for keyword in ALWAYS_PAIRED if keyword in self.mistakes
         }
         for cause, picture in zip(causes, pictures, strict=True):
             group = groups.setdefault(picture.tobytes(), [])
@@ -268,7 +296,7 @@ class MistakeRenderer:
     @cached_property
     def single_causes(self) -> list[Cause]:
         """All causes of one mistake, some with a variant."""
-        singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
+        singles: list[Cause] = [(key,) for key in self.mistakes if key not in VARIANTS]
         return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
 
     @cached_property
@@ -277,7 +305,7 @@ class MistakeRenderer:
         pixel_index = self.sample_index[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
         skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
-        skipped_keys |= {*mistakes.ROUNDINGS}
+        skipped_keys |= {*ROUNDINGS}
         causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
         causes_by_pair = {
             pair: (cause_a, cause_b)
@@ -292,9 +320,9 @@ class MistakeRenderer:
     def join_causes(self, cause_a: Cause, cause_b: Cause) -> Cause:
         """Join two causes into one, with the variant last.
 
-        Empty if the mistakes exclude each other, or if both causes contain a variant.
+        The result is empty if the mistakes exclude each other, or if both causes contain a variant.
         """
-        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in mistakes.VARIANTS]
+        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in VARIANTS]
         cause = (*remove_variants((*cause_a, *cause_b)), *variants)
         return cause if len(variants) < 2 and self.get_formulas(cause) else ()
 
@@ -306,4 +334,4 @@ class MistakeRenderer:
 
 def remove_variants(cause: Iterable[str]) -> Cause:
     """Remove the keywords of variants from a cause."""
-    return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)
+    return tuple(keyword for keyword in cause if keyword not in VARIANTS)

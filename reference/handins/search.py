@@ -24,7 +24,7 @@ import numpy as np
 
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache
-from reference.handins.formulas import Array
+from reference.handins.formula_functions import Array
 from reference.handins.renderer import (
     MAX_INTERSECTIONS,
     MAX_PIXELS,

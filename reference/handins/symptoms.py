@@ -27,10 +27,10 @@ from reference.pictures import Codes, compare_levels, to_rows
 _MAX_LIGHTS = 4
 # Rounding may explain at most this share of the pixels.
 _MAX_ROUNDED_SHARE = 0.001
-# To test whether it explains a pixel, the pixel's sample is moved by this many pixels, …
+# To test whether rounding explains a pixel, the pixel's sample is moved by this many pixels.
 _SAMPLE_OFFSET = 0.05
-# … and the origins of its shadow rays are lifted from the surface by these multiples of their
-# distance from the origin of coordinates.
+# For the same test, the origins of its shadow rays are lifted from the surface by these multiples
+# of their distance from the origin of coordinates.
 _SHADOW_LIFTS = (-1e-3, 0, 1e-3)
 # Speckles: minimum share of the picture that loses light.
 _MIN_SPECKLE_SHARE = 0.005

@@ -28,7 +28,7 @@ from reference.command import SCENES
 from reference.compare import compare_hand_in, main
 from reference.figures import get_largest_difference, measure_differences, write_comparison
 from reference.handins.diagnosis import Reference
-from reference.handins.formulas import Array
+from reference.handins.formula_functions import Array
 from reference.handins.renderer import MistakeRenderer
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
