@@ -37,17 +37,14 @@ _SSIM_SIDE = 7
 _PIXELS_PER_BAND = 500_000
 # Pictures are enlarged, pixel by pixel, to panels at least this many pixels wide or high.
 _MIN_PANEL_SIDE = 300
-# Distance between panels in pixels.
+# Lengths in pixels: the distance between panels, the height of a line of text, the distance between
+# a picture and the line below it, and the size of the font.
 _MARGIN = 8
-# Height of a line of text in pixels.
 _LABEL_HEIGHT = 24
-# Distance between a picture and the line of text below it in pixels.
 _LEGEND_GAP = 4
-# Size of the text in pixels.
 _FONT_SIZE = 14
-# 8-bit colour of the background.
+# 8-bit colours of the background and the text.
 _PAPER_COLOR = (250, 250, 250)
-# 8-bit colour of the text.
 _INK_COLOR = (30, 30, 30)
 # Colours where the first picture is brighter and where it is darker.  Colour-blind readers can tell
 # them apart (M. Okabe and K. Ito, Color Universal Design, 2008).

@@ -49,7 +49,7 @@ class Picture(NamedTuple):
 
     codes: Shaped[Codes, "h w 3"]  # red, green and blue, as encoded with gamma
     # How the file format altered the picture, as a predicate: "is a JPEG, which changes levels: …".
-    # Empty if it did not.
+    # The note is empty if the format altered nothing.
     note: str = ""
     format_noise: int = 0  # number of levels by which the file format may have altered the codes
     # Takes the codes of a picture (h, w, 3), and returns those that are read back after it is

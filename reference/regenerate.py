@@ -41,24 +41,14 @@ WIDTH = 160
 # Samples per pixel in the tracer's pictures.
 _SAMPLES_PER_PIXEL = 16
 
-# Height of the large picture in pixels.
-_LARGE_HEIGHT = 540
-
-# Width of the sheet in pixels.
+# Lengths in pixels.  All but the first belong to the sheet, which shows pictures above their names.
+_LARGE_PICTURE_HEIGHT = 540
 _SHEET_WIDTH = 960
-
-# Height of the pictures in the sheet in pixels.
 _PICTURE_HEIGHT = 175
-
-# Distance between pictures in the sheet in pixels.
-_GAP = 12
-
-# Height of the name below each picture in pixels, and its distance from the picture.
+_PICTURE_GAP = 12
 _NAME_HEIGHT = 22
-_NAME_GAP = 3
-
-# Size of the names' font in pixels.
-_NAME_SIZE = 13
+_NAME_GAP = 3  # between a picture and its name
+_NAME_FONT_SIZE = 13
 
 # Stored radiance is rounded to multiples of this number.  That is far below every tolerance, and
 # makes the files smaller.
@@ -91,10 +81,10 @@ def read_stored_picture(name: str) -> Shaped[Floats, "height width 3"]:
 def render_sheet(paths: Iterable[Path]) -> Image.Image:
     """Render rows of small pictures, each above the name of its scene, the narrowest first."""
     pictures = {path.stem: _render_image(load_scene(path), _PICTURE_HEIGHT) for path in paths}
-    row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
+    row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _PICTURE_GAP
     sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
     drawing = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=_NAME_SIZE)
+    font = ImageFont.load_default(size=_NAME_FONT_SIZE)
     x = y = 0
     for name, picture in sorted(pictures.items(), key=lambda item: item[1].width):
         if x + picture.width > _SHEET_WIDTH:
@@ -102,8 +92,8 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
             y += row_height
         sheet.paste(picture, (x, y))
         drawing.text((x, y + _PICTURE_HEIGHT + _NAME_GAP), name, fill=(60, 60, 60), font=font)
-        x += picture.width + _GAP
-    return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
+        x += picture.width + _PICTURE_GAP
+    return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _PICTURE_GAP))
 
 
 def _render_image(scene: Scene, height: int) -> Image.Image:
@@ -145,7 +135,7 @@ def main() -> None:
     """
     make_parser("reference.regenerate").parse_args()
     _store_image(REFERENCE_FOLDER / "sheet.png", render_sheet(list_scene_files()))
-    large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
+    large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_PICTURE_HEIGHT)
     _store_image(REFERENCE_FOLDER / "sunflower.png", large_picture)
     images = {path.stem: render_with_mitsuba(load_small_scene(path)) for path in list_scene_files()}
     manifest = {

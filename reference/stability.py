@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Annotated as Shaped
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -317,17 +317,32 @@ def _render_exactly(scene: Scene) -> Shaped[Floats, "height width 3"]:
     return plain.render(scene, arithmetic="decimal")
 
 
-def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table: title of the panel, position, method and error.
+# The note above the chart, line by line.
+_NOTE_LINES = (
+    "Above: pictures by the usual methods; below them: the same scenes by this tracer.  Each point"
+    " shows how far a picture is from",
+    "that computed with 80 digits: the largest error of the radiance (at most 1), or the percentage"
+    " of pixels that are wrongly lit or dark.",
+)
 
-    With `quick`, only every third position is measured.
-    """
+
+class _Row(NamedTuple):
+    """A row of the table, which is a point of a curve."""
+
+    panel: str  # its title
+    position: float
+    method: str
+    error: float
+
+
+def _measure_all_panels(quick: bool) -> Iterator[_Row]:
+    """Yield the rows of the table; with `quick`, only those of every third position."""
     for panel in track(PANELS, len(PANELS), "panels"):
         positions = panel.positions[:: 3 if quick else 1].tolist()
         for method in ("this tracer", *panel.methods):
             errors = measure_errors(panel, method, positions).tolist()
             for position, error in zip(positions, errors, strict=True):
-                yield panel.title, position, method, error
+                yield _Row(panel=panel.title, position=position, method=method, error=error)
 
 
 EXAMPLES = (
@@ -338,12 +353,19 @@ EXAMPLES = (
 """Pictures at the top of the chart, each with its title, its scene and the method that fails."""
 
 
-def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
+def _parse_row(cells: Sequence[str]) -> _Row:
+    """Parse the cells of a row of the CSV file."""
+    panel, position, method, error = cells
+    return _Row(panel=panel, position=float(position), method=method, error=float(error))
+
+
+def _draw_chart(csv_rows: Sequence[Sequence[str]]) -> Any:
     """Draw the chart: example pictures, and below them two columns of panels.
 
     The left column contains the panels about hits and highlights.  The right column contains the
     panels about shadows, followed by the legends of both columns.
     """
+    rows = [_parse_row(cells) for cells in csv_rows]
     left_panels = [panel for panel in PANELS if panel.methods != _SHADOW_METHODS]
     right_panels = [panel for panel in PANELS if panel.methods == _SHADOW_METHODS]
     subfigure_heights = 3.8, 1.9 * len(left_panels)
@@ -372,7 +394,7 @@ def _draw_examples(subfigure: Any) -> None:
 def _draw_column(
     side: str,
     panels: Sequence[Panel],
-    rows: Sequence[Sequence[str]],
+    rows: Sequence[_Row],
     all_axes: Any,
     legend_axes: Any,
 ) -> None:
@@ -384,7 +406,7 @@ def _draw_column(
     styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
     handles: dict[str, Any] = {}
     for axes, panel in zip(all_axes, panels, strict=False):
-        _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
+        _draw_panel(axes, panel, [row for row in rows if row.panel == panel.title], styles)
         panel_handles, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, panel_handles, strict=True))
     legend_axes.axis("off")
@@ -392,16 +414,13 @@ def _draw_column(
     legend_axes.legend(handles.values(), handles, loc="center", title=legend_title, ncols=2)
 
 
-def _draw_panel(
-    axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
-) -> None:
+def _draw_panel(axes: Any, panel: Panel, rows: Sequence[_Row], styles: dict[str, Any]) -> None:
     """Draw the curves and the guide lines of one panel.
 
-    `rows` contain a position, a method and an error each.  `styles` are the line styles of the
-    methods.
+    `rows` are those of the panel, and `styles` are the line styles of the methods.
     """
     curves = {
-        method: np.array([row[::2] for row in rows if row[1] == method], float).T
+        method: np.array([(row.position, row.error) for row in rows if row.method == method]).T
         for method in ("this tracer", *panel.methods)
     }
     x = curves["this tracer"][0]
@@ -431,11 +450,6 @@ def _draw_panel(
 
 def main() -> None:
     """Measure the errors of all rendering methods, store them in a table, and draw the chart."""
-    columns = ("panel", "position", "method", "error")
-    note = (
-        "Above: pictures by the usual methods; below them: the same scenes by this tracer.  Each"
-        " point shows how far a picture is from\nthat computed with 80 digits: the largest error of"
-        " the radiance (at most 1), or the percentage of pixels that are wrongly lit or dark."
-    )
+    note = "\n".join(_NOTE_LINES)
     title = "Where the usual methods of ray tracing fail"
-    run_chart_command("stability", columns, _measure_all_panels, _draw_chart, title, note)
+    run_chart_command("stability", _Row._fields, _measure_all_panels, _draw_chart, title, note)

@@ -20,13 +20,10 @@ __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
 CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
 
-# Distance of all texts from the left edge in inches.
+# Distances in inches from the edge of the chart that the name ends with.
 _TEXT_LEFT = 0.2
-# Distance of the title from the upper edge in inches.
 _TITLE_TOP = 0.15
-# Distance of the note from the upper edge in inches.
 _NOTE_TOP = 0.45
-# Distance of the origin from the lower edge in inches.
 _ORIGIN_BOTTOM = 0.08
 
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
