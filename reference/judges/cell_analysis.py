@@ -40,6 +40,7 @@ import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints
 from reference.judges.cells import MAX_WIDTH, Cells
+from reference.judges.certified_scene import CertifiedScene
 from reference.judges.enclosures import (
     CONSTANT,
     ERROR,
@@ -61,7 +62,8 @@ class CellAnalysis:
     (see `faces`).
     """
 
-    faces: Faces
+    scene: CertifiedScene
+    faces: Faces  # of the scene
     cells: Cells  # without the pairs and triples that proved irrelevant
     squared_ray_length: Enclosures  # (8, cells), of d^2
     inverse_distance: Enclosures  # (8, pairs), of 1 / t
@@ -75,12 +77,13 @@ class CellAnalysis:
     _half_cell_size: Shaped[Floats, "2 1"]  # width and height, in the units of the rays
     edges: list[EdgeFunctions]
 
-    def __init__(self, faces: Faces, cells: Cells) -> None:
+    def __init__(self, scene: CertifiedScene, cells: Cells) -> None:
         """Find the faces that may be visible in each cell, the lights that reach them, and edges.
 
         The cells of the caller are not changed.
         """
-        self.faces = faces
+        self.scene = scene
+        self.faces = scene.faces
         self.cells = cells
         self.edges = []
         self._set_rays()
@@ -91,10 +94,10 @@ class CellAnalysis:
             self._find_intersections()
 
     def _set_rays(self) -> None:
-        """Set `_rays`, `_half_cell_size` and `squared_ray_length`."""
+        """Compute the directions of the camera rays in each cell, and enclose their squares."""
         cells = self.cells
-        self._rays = self.faces.compute_rays(cells.x, cells.y, cells.width)
-        pixel_size = self.faces.frame.pixel_width, self.faces.frame.pixel_height
+        self._rays = self.scene.compute_rays(cells.x, cells.y, cells.width)
+        pixel_size = self.scene.frame.pixel_width, self.scene.frame.pixel_height
         self._half_cell_size = cells.width / 2 * np.array(pixel_size)[:, None]
         coefficients = np.zeros((8, cells.x.size))
         coefficients[:UNKNOWN_Z] = compute_squared_length(self._rays)
@@ -109,7 +112,7 @@ class CellAnalysis:
         The rays are those of the cell `cell_index[i]` for vector i.  The products are linear in X
         and Y.
         """
-        max_ray_size = self.faces.frame.max_ray_size
+        max_ray_size = self.scene.frame.max_ray_size
         coefficients = np.zeros((8, cell_index.size))
         coefficients[CONSTANT] = (vectors * self._rays[:, 0].take(cell_index, axis=1)).sum(axis=0)
         coefficients[X:X_SQUARED] = vectors[:2] * self._half_cell_size
@@ -228,18 +231,18 @@ class CellAnalysis:
 
         The discriminant of a side of a box is 0.
         """
-        faces, cells = self.faces, self.cells
+        scene, faces, cells = self.scene, self.faces, self.cells
         discriminants = Enclosures(np.zeros((8, cells.face_index.size)))
         pair_index = np.flatnonzero(~faces.is_planar[cells.face_index])
         sphere_index = cells.face_index[pair_index]
         rays = self._rays[:, :, cells.cell_index[pair_index]]
-        sizes = faces.frame.max_ray_size, faces.frame.max_ray_size
-        center, radius = faces.center[:, sphere_index], faces.radius[sphere_index]
+        sizes = scene.frame.max_ray_size, scene.frame.max_ray_size
+        center, radius = scene.spheres.center[:, sphere_index], scene.spheres.radius[sphere_index]
         discriminants[pair_index] = enclose_cone(center, radius, rays, rays, sizes).function
         return discriminants
 
     def _enclose_inverse_distances(self, is_outside: Shaped[Bools, "pairs"]) -> None:
-        """Set `inverse_distance` and `root_term`, except for pairs that are outside their cell."""
+        """Enclose the root term and 1 / t, except for spheres that are outside their cell."""
         self.inverse_distance = Enclosures(self._linear_term.coefficients.copy())
         is_sphere = ~self.faces.is_planar[self.cells.face_index]
         pair_index = np.flatnonzero(is_sphere & ~is_outside)
@@ -272,7 +275,7 @@ class CellAnalysis:
         sphere if the sphere is ahead of the eye, and the ray's line meets the sphere.  There is no
         condition for faces that all rays hit.
         """
-        faces, cells = self.faces, self.cells
+        faces, spheres, cells = self.faces, self.scene.spheres, self.cells
         is_planar = faces.is_planar[cells.face_index]
         pair_index = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
@@ -281,8 +284,8 @@ class CellAnalysis:
             yield Condition(claim_index=pair_index, functions=functions)
         pair_index = np.flatnonzero(~cells.covers_cell & ~is_planar)
         # If the eye is inside a sphere, all rays hit the sphere.
-        pair_index = pair_index[faces.eye_power[cells.face_index[pair_index]] > 0]
-        center = faces.center[:, cells.face_index[pair_index]]
+        pair_index = pair_index[spheres.eye_power[cells.face_index[pair_index]] > 0]
+        center = spheres.center[:, cells.face_index[pair_index]]
         projection = self.dot_with_rays(center, cells.cell_index[pair_index])
         no_root = np.zeros(pair_index.size)
         is_ahead = RayFunctions(pair_index=pair_index, smooth_part=projection, root_factor=no_root)
@@ -299,7 +302,7 @@ class CellAnalysis:
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell_index, face_index = self.cells.cell_index, self.cells.face_index
-        file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face_index]]
+        file_index = self.scene.prepared_scene.surfaces.file_index[faces.object_index[face_index]]
         plane_id = faces.plane_id[:, face_index]
         occluder_index = self._find_nearest_covers(covers_cell, file_index)[cell_index]
         has_occluder = (occluder_index >= 0) & (occluder_index != np.arange(cell_index.size))
@@ -357,8 +360,9 @@ class CellAnalysis:
 
         The boxes are aligned with the scene's axes, and widened to allow for rounding errors.
         """
-        faces, face_index, axes = self.faces, self.cells.face_index, self.faces.frame.axes.T
-        eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.cell_index]
+        faces, face_index, frame = self.faces, self.cells.face_index, self.scene.frame
+        axes, eye = frame.axes.T, frame.eye[:, None]
+        rays = self._rays[:, :, self.cells.cell_index]
         center_ray = axes @ rays[:, 0]
         spread = np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center_ray - spread, center_ray + spread
@@ -368,7 +372,7 @@ class CellAnalysis:
         low, high = faces.bounding_box[:, :, face_index]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
-        position_error = faces.prepared_scene.position_error[faces.object_index[face_index]]
+        position_error = self.scene.prepared_scene.position_error[faces.object_index[face_index]]
         half_size = np.maximum(0.5 * (high - low), 0) + position_error
         return 0.5 * (low + high), half_size
 
@@ -382,7 +386,7 @@ class CellAnalysis:
         cells = self.cells
         if cells.width == MAX_WIDTH:
             part_boxes = self._bound_visible_parts()
-            triples = self.faces.find_occluders(*part_boxes, cells.face_index, ~cells.is_settled.T)
+            triples = self.scene.find_occluders(*part_boxes, cells.face_index, ~cells.is_settled.T)
             self.cells = cells = cells._replace(shadow_triples=triples)
         pair_index, light_index, _ = cells.shadow_triples
         # `_decide_claims` updates `casts_no_shadow` after each condition.
@@ -401,17 +405,17 @@ class CellAnalysis:
         the cone from the light around the sphere.  Second, it must meet the face behind the plane
         in which the cone touches the sphere.
         """
-        faces, triples = self.faces, self.cells.shadow_triples
-        triple_index = np.flatnonzero(triples[2] < faces.sphere_count)
+        scene, triples = self.scene, self.cells.shadow_triples
+        triple_index = np.flatnonzero(triples[2] < scene.sphere_count)
         pair_index, light_index, sphere_index = triples[:, triple_index]
         is_in_cone = self._express_shadow_cones(pair_index, light_index, sphere_index)
         yield Condition(claim_index=triple_index, functions=is_in_cone)
         # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The second
         # condition for a point p is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
-        to_center = faces.to_center[:, light_index, sphere_index]
-        squared_radius = faces.radius[sphere_index] ** 2
-        products = to_center * faces.center[:, sphere_index]
+        to_center = scene.to_center[:, light_index, sphere_index]
+        squared_radius = scene.spheres.radius[sphere_index] ** 2
+        products = to_center * scene.spheres.center[:, sphere_index]
         b = squared_radius - products.sum(axis=0)
         b_abs_sum = squared_radius + np.abs(products).sum(axis=0)
         is_behind = self._express_half_space(pair_index, np.array([*to_center, b, b_abs_sum]))
@@ -436,18 +440,18 @@ class CellAnalysis:
         # the condition is u + v s >= 0 with
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
-        faces, cells = self.faces, self.cells
-        radius, center = faces.radius[sphere_index], faces.center[:, sphere_index]
-        position = faces.light_position[light_index].T
-        to_center = faces.to_center[:, light_index, sphere_index]
+        scene, faces, cells = self.scene, self.faces, self.cells
+        radius, center = scene.spheres.radius[sphere_index], scene.spheres.center[:, sphere_index]
+        position = scene.lights.from_eye[light_index].T
+        to_center = scene.to_center[:, light_index, sphere_index]
         squares = np.square([position, center, to_center]).sum(axis=1)
         squared_position, squared_center, squared_to_center = squares
         squared_radius = radius**2
         position_length, center_length = np.sqrt([squared_position, squared_center])
         # The sizes bound the terms of q and w.
         linear_size = 2 * np.abs(faces.linear_coef[:, cells.face_index[pair_index]]).sum(axis=0)
-        q_size = faces.frame.max_ray_size * (1 + position_length * linear_size)
-        w_size = faces.frame.max_ray_size * (1 + center_length * linear_size)
+        q_size = scene.frame.max_ray_size * (1 + position_length * linear_size)
+        w_size = scene.frame.max_ray_size * (1 + center_length * linear_size)
         rays = self._rays[:, :, cells.cell_index[pair_index]]
         linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
         q = rays - position[:, None] * linear_term
@@ -479,9 +483,8 @@ class CellAnalysis:
         """
         pair_index, light_index, occluder_index = self.cells.shadow_triples
         # Objects are numbered with spheres first.  Spheres have a negative box index.
-        box_index = occluder_index - self.faces.sphere_count
-        shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
-        for half_spaces, has_edge in zip(shadow_planes, self.faces.has_shadow_edge, strict=True):
+        box_index = occluder_index - self.scene.sphere_count
+        for half_spaces, has_edge in zip(*self.scene.shadow_volumes, strict=True):
             index = np.flatnonzero((box_index >= 0) & ~casts_no_shadow)
             half_space = half_spaces[:, light_index[index], box_index[index]]
             # A box seen edge-on from the light has fewer than nine planes.

@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints, list_segment_elements
+from reference.judges.certified_scene import CertifiedScene
 from reference.judges.enclosures import Enclosures
-from reference.judges.faces import Faces
 
 MAX_WIDTH = 8
 """Maximum width of cells that have triples and can be finished whole, in pixels; a power of two."""
@@ -137,7 +137,7 @@ class Contributions(NamedTuple):
         return Contributions._make(field[is_selected] for field in self)
 
 
-def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
+def make_initial_cells(scene: CertifiedScene, width: int, height: int) -> Cells:
     """Cover a picture of `width` times `height` pixels with a row or a column of square cells.
 
     The width of the cells is a power of two: at least 16 pixels, and at least the shorter side of
@@ -148,7 +148,7 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     row_count = int(np.ceil(height / cell_width))
     column_count = int(np.ceil(width / cell_width))
     y, x = (np.indices((row_count, column_count)).reshape(2, -1) + 0.5) * cell_width
-    visible_face_index = np.flatnonzero(faces.may_be_visible)
+    visible_face_index = np.flatnonzero(scene.faces.may_be_visible)
     face_index = np.tile(visible_face_index, x.size)
     return Cells(
         width=cell_width,
@@ -157,7 +157,7 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
         cell_index=np.arange(x.size).repeat(visible_face_index.size),
         face_index=face_index,
         covers_cell=np.zeros(face_index.size, np.bool_),
-        is_settled=faces.is_unlit[:, face_index].T,
+        is_settled=scene.is_unlit[:, face_index].T,
         radiance=Enclosures(np.zeros((8, 3, face_index.size))),
         shadow_triples=np.zeros((3, 0), dtype=np.intp),
     )

@@ -68,8 +68,8 @@ from reference.judges.arrays import (
 )
 from reference.judges.cell_analysis import CellAnalysis
 from reference.judges.cells import MAX_WIDTH, Cells, Contributions, make_initial_cells
+from reference.judges.certified_scene import CertifiedScene
 from reference.judges.enclosures import UNKNOWN_Z, Enclosures, enclose_constants
-from reference.judges.faces import Faces
 from reference.judges.ray_functions import concatenate_edges
 from reference.judges.regions import Regions, Strips, divide_into_regions, enclose_in_strips
 from reference.judges.shading import shade
@@ -308,14 +308,14 @@ def _trace_samples(analysis: CellAnalysis, regions: Regions) -> _RegionSamples:
 
     Raise RuntimeError if a sample shows a face that is not listed for its cell.
     """
-    cells, faces = analysis.cells, analysis.faces
+    cells, scene = analysis.cells, analysis.scene
     cell_index, (_, x, y, *_) = regions.cell_index, regions.moments
     half_width = cells.width / 2
     sample_x = cells.x[cell_index] + half_width * x
     sample_y = cells.y[cell_index] + half_width * y
-    hits, sample_index, face_index = faces.trace_samples(sample_x, sample_y)
+    hits, sample_index, face_index = scene.trace_samples(sample_x, sample_y)
     # Each combination of a cell and a face has its own key.
-    face_count = faces.object_index.size
+    face_count = scene.faces.object_index.size
     pair_keys = cells.cell_index * face_count + cells.face_index
     sample_keys = cell_index[sample_index] * face_count + face_index
     sorted_index = pair_keys.argsort()
@@ -326,14 +326,14 @@ def _trace_samples(analysis: CellAnalysis, regions: Regions) -> _RegionSamples:
     pair_index = np.full(cell_index.size, -1)
     pair_index[sample_index] = visible_pair_index
     is_lit = np.zeros((cells.is_settled.shape[1], cell_index.size), dtype=np.bool_)
-    is_lit[:, sample_index] = faces.test_lights(hits, ~cells.is_settled[visible_pair_index].T)
+    is_lit[:, sample_index] = scene.test_lights(hits, ~cells.is_settled[visible_pair_index].T)
     return _RegionSamples(pair_index=pair_index, is_lit=is_lit)
 
 
 class _Picture:
     """A picture to which cells are added once their mean radiance is known accurately enough."""
 
-    faces: Faces
+    scene: CertifiedScene
     permitted_error: float  # of each pixel's mean radiance
     # Sum, in each pixel, of the mean radiance of its finished cells, weighted by area.  There are
     # `MAX_WIDTH` additional rows and columns, because cells may extend beyond the picture.
@@ -343,7 +343,7 @@ class _Picture:
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
         """Create a black picture; raise ValueError as `certify` does."""
-        self.faces = Faces(scene)
+        self.scene = CertifiedScene(scene)
         self.permitted_error = permitted_error
         self.cell_count = 0
         padded_size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
@@ -406,7 +406,7 @@ class _Picture:
         than a pixel, those that `find_final_cells` selects are also added.
         """
         self.cell_count += cells.x.size
-        analysis = CellAnalysis(self.faces, cells)
+        analysis = CellAnalysis(self.scene, cells)
         cells = analysis.cells
         pair_count = np.bincount(cells.cell_index, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
@@ -482,7 +482,7 @@ def certify(
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, _ERROR_FOR_CELLS * error)
-    stack = [make_initial_cells(picture.faces, scene.width, scene.height)]
+    stack = [make_initial_cells(picture.scene, scene.width, scene.height)]
     total_area = stack[0].area
     finished_area = 0.0
     while stack:

@@ -64,10 +64,11 @@ def _enclose_contributions(
     The result is sorted by pair and light.  It is the radiance where the light reaches the face,
     because whether an object blocks the light is not tested.
     """
-    faces, cells, scene = analysis.faces, analysis.cells, analysis.faces.prepared_scene
+    faces, cells, lights = analysis.faces, analysis.cells, analysis.scene.lights
+    scene = analysis.scene.prepared_scene
     pair_index, light_index = np.nonzero(~cells.is_settled & is_requested[:, None])
     terms = _enclose_light_terms(analysis, pair_index, light_index)
-    intensity = faces.prepared_lights.intensity[light_index].T
+    intensity = lights.intensity[light_index].T
     object_index = faces.object_index[cells.face_index[pair_index]]
     radiance = terms.n_dot_l.coefficients[:, None] * (intensity * scene.diffuse[:, object_index])
     # Only glossy faces have a highlight.
@@ -99,7 +100,7 @@ def _enclose_light_terms(
 ) -> _LightTerms:
     """Enclose the terms for pairs with one light each, which have the given indices."""
     cell_index = analysis.cells.cell_index[pair_index]
-    position = analysis.faces.light_position[light_index].T
+    position = analysis.scene.lights.from_eye[light_index].T
     squared_ray_length = analysis.squared_ray_length[cell_index]
     # Divided by t^2, |q - p|^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) is d^2 - q.d / t.
     q_dot_d = analysis.dot_with_rays(position, cell_index)

@@ -15,16 +15,17 @@ from probe import scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import HardScene, hard_scenes, small_scene
 
-from reference.judges import cell_analysis, certificate
+from reference.judges import cell_analysis, certificate, certified_scene
 from reference.judges.arrays import Floats, Ints, find_in_sorted, sum_by_index
 from reference.judges.cell_analysis import CellAnalysis
 from reference.judges.cells import Cells, Contributions
 from reference.judges.certificate import CellEstimates, certify
+from reference.judges.certified_scene import CertifiedScene
 from reference.judges.enclosures import CONSTANT, ERROR, UNKNOWN_Z, Enclosures
-from reference.judges.faces import Faces
 from reference.judges.ray_functions import Cone
 from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.sampling import compute_rms_error, render_supersampled
+from reference.judges.shadow_volumes import ShadowVolumes
 from reference.measured.workloads import build_crowd_scene, copy_with_picture_size
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import compute_radiance
@@ -72,7 +73,7 @@ class EnclosureSampler:
         half_width, radiance = cells.width / 2, np.empty((3, cell_index.size))
         positions = cells.x[cell_index] + half_width * x, cells.y[cell_index] + half_width * y
         samples, position_index = Scattered.from_positions(*positions)
-        radiance[:, position_index] = compute_radiance(analysis.faces.prepared_scene, samples)
+        radiance[:, position_index] = compute_radiance(analysis.scene.prepared_scene, samples)
         self.sample_count += cell_index.size
         return radiance, x, y
 
@@ -175,8 +176,9 @@ def remove_last_edges(_: object, analysis: CellAnalysis) -> None:
     del analysis.edges[-1]
 
 
-def remove_cone_planes(_: object, faces: Faces, *__: object) -> None:
-    faces.shadow_volume[:, 5:] = 0
+def remove_cone_planes(volumes: ShadowVolumes, *_: object) -> ShadowVolumes:
+    volumes.half_space[5:] = 0
+    return volumes
 
 
 def remove_some_occluders(triples: Ints, *_: object) -> Ints:
@@ -193,10 +195,10 @@ DEFECTS: dict[str, tuple[object, str, Callable[..., object]]] = {
     "narrow strips": (certificate, "enclose_in_strips", scale_field("half_width", 0.5)),
     "small jumps": (certificate, "enclose_in_strips", scale_field("jump", 0.7)),
     "narrow cones": (cell_analysis, "enclose_cone", narrow_cones),
-    "planes of shadows missing": (Faces, "_set_shadow_volumes", remove_cone_planes),
+    "planes of shadows missing": (certified_scene, "compute_shadow_volumes", remove_cone_planes),
     "no terminators": (CellAnalysis, "_find_terminators", remove_last_edges),
     "no intersections": (CellAnalysis, "_find_intersections", remove_last_edges),
-    "occluders missing": (Faces, "find_occluders", remove_some_occluders),
+    "occluders missing": (CertifiedScene, "find_occluders", remove_some_occluders),
     "faces hidden too early": (Enclosures, "subtract_independent", lower_enclosures),
 }
 """Defects of the certificate: each changes the results of a function so that bounds are unsound."""
@@ -299,10 +301,10 @@ def test_means_of_hard_scenes(hard_scene: HardScene) -> None:
 def test_the_rim_of_a_sheet_shows_its_face() -> None:
     """A ray through the rim hits a side of the sheet that has no area."""
     sheet = Box(min_pt=(-1, -1, -4), max_pt=(1, 1, -4))
-    faces = Faces(scene_of(sheet, size=(8, 8), lights=(0, 0, 0)))
-    _, sample_index, face_index = faces.trace_samples(np.array([4.0, 6, 2]), np.array([4.0, 4, 6]))
+    scene = CertifiedScene(scene_of(sheet, size=(8, 8), lights=(0, 0, 0)))
+    _, sample_index, face_index = scene.trace_samples(np.array([4.0, 6, 2]), np.array([4.0, 4, 6]))
     assert sorted(sample_index) == [0, 1, 2]
-    assert faces.may_be_visible[face_index].all()
+    assert scene.faces.may_be_visible[face_index].all()
 
 
 @pytest.mark.slow
@@ -311,7 +313,7 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
 def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
     scene = small_scene(name, 24, 14)
-    certified, prepared_scene = certify(scene, 1 / 32768), Faces(scene).prepared_scene
+    certified, prepared_scene = certify(scene, 1 / 32768), CertifiedScene(scene).prepared_scene
     difference = np.abs(render_supersampled(scene, 65) - certified.image).max(axis=2)
     for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-4]):
         radiance_sum, grid_side = np.zeros(3), 2048
