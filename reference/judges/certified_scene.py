@@ -32,7 +32,7 @@ from tracer.geometry.box import Boxes
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.sphere import Spheres
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import compute_light_geometry
+from tracer.trace.light_geometry import compute_light_geometry
 from tracer.trace.occlusion import find_shadows
 from tracer.trace.samples import Scattered
 from tracer.trace.visibility import find_nearest_hits

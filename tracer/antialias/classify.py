@@ -30,7 +30,9 @@ from tracer.antialias.edges import CellSurfaces, find_silhouettes_from_eye
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Ints
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
+from tracer.trace.light_geometry import compute_light_geometry
+from tracer.trace.lighting import Shading
+from tracer.trace.narrow_highlights import find_narrow_highlights
 from tracer.trace.occlusion import find_shadow_edges
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import find_nearest_and_hidden_hits

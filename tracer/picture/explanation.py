@@ -26,7 +26,7 @@ from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, Phong, Scene, normalize
 from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import compute_light_geometry
+from tracer.trace.light_geometry import compute_light_geometry
 from tracer.trace.radiance import shade
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene

@@ -9,7 +9,8 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import Shading, compute_light_geometry
+from tracer.trace.light_geometry import compute_light_geometry
+from tracer.trace.lighting import Shading
 from tracer.trace.occlusion import find_shadows
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import find_nearest_hits
