@@ -1,4 +1,4 @@
-"""Which objects may block the light at hits?  They are found for many hits at a time.
+"""Objects that may block the light at hits, found for many neighbouring hits at a time.
 
 Testing every object for every hit and every light would take too long.  So neighbouring hits on one
 object form a *packet*, with a bounding sphere.  The segments from the hits of a packet to a light
@@ -13,8 +13,8 @@ the sphere (Haines and Wallace, Shaft culling, 1991).
 
 Packets form a hierarchy of one or two levels.  *Row packets* contain hits that are consecutive in
 one row of samples.  If objects are large in the picture, *square packets* contain row packets.  The
-light grid lists candidates for the largest packets.  Capsule tests then exclude objects, first for
-these packets and then for the packets in them.
+*children* of a packet are what it contains.  The light grid lists candidates for the largest
+packets.  Capsule tests exclude objects, first for these packets, then for their children.
 
 An object is excluded only if it certainly shades no hit of the packet, or if a single object
 certainly shades all hits.  So shadows are those that a test of every object would find.
@@ -23,6 +23,7 @@ certainly shades all hits.  So shadows are those that a test of every object wou
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
@@ -63,6 +64,10 @@ _MIN_SQUARE_SIDE = 6
 # takes 1.07 times as long; with twice the side, the time is within 4 %.
 _MAX_SQUARE_SIDE = 16
 
+# Rows of an array whose columns are *triples*.  A receiver is what may be in the shadow that the
+# object casts: a packet, or a hit.  A *pair* consists of the first two rows.
+_LIGHT, _RECEIVER, _OBJECT = range(3)
+
 
 class Candidates(NamedTuple):
     """Objects of one shape that may block the light at hits, and hits that are certainly in shadow.
@@ -75,7 +80,8 @@ class Candidates(NamedTuple):
     shaded_pairs: Shaped[Ints, "2 k"]  # indices of lights, and of hits that are in shadow
 
 
-class _Packets(NamedTuple):
+@dataclass(eq=False, kw_only=True)
+class _Packets:
     """One level of the hierarchy of packets.
 
     The children of a row packet are hits.  The children of a square packet are row packets.
@@ -88,20 +94,34 @@ class _Packets(NamedTuple):
     # Bounding spheres, in scene axes.
     center: Shaped[Floats, "3 packets"]
     radius: Shaped[Floats, "packets"]
-    # Whether the light may be visible from any hit.  At first this is True if any hit faces the
-    # light.  `_test_packets` sets it to False when a single object shades the whole packet.
+    # Whether the light may be visible from any hit.  At first, this is True if any hit faces the
+    # light.  It is set to False when a single object is found to shade all hits.
     may_be_lit: Shaped[Bools, "lights packets"]
 
-    def replace_by_children(self, packet_columns: Shaped[Ints, "rows n"]) -> Shaped[Ints, "rows k"]:
-        """Repeat each column for every child of the packet whose index is in row 1.
+    def reorder(self, packet_index: Shaped[Ints, "packets"]) -> _Packets:
+        """Return the packets in another order."""
+        fields = {name: values.take(packet_index, axis=-1) for name, values in vars(self).items()}
+        return _Packets(**fields)
 
-        In the result, row 1 contains the indices of the children.
+    def mark_shaded(self, shaded_pairs: Shaped[Ints, "2 n"]) -> None:
+        """Set `may_be_lit` to False for pairs of a light (row 0) and a packet (row 1)."""
+        put_2d(self.may_be_lit, shaded_pairs[_LIGHT], shaded_pairs[_RECEIVER], False)
+
+    def drop_unlit(self, triples: Shaped[Ints, "3 n"]) -> Shaped[Ints, "3 k"]:
+        """Drop triples (light, packet, object) where no hit of the packet can see the light."""
+        may_be_lit = take_2d(self.may_be_lit, triples[_LIGHT], triples[_RECEIVER])
+        return triples.take(find(may_be_lit), axis=1)
+
+    def replace_by_children(self, columns: Shaped[Ints, "rows n"]) -> Shaped[Ints, "rows k"]:
+        """Replace each column, whose row 1 is a packet, by one column for each child of the packet.
+
+        Row 1 of the result contains the children.  The other rows are repeated.
         """
-        packet_index = packet_columns[1]
+        packet_index = columns[_RECEIVER]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
         parent_column, child_index = enumerate_ranges(child_count, child_start)
-        child_columns = packet_columns.take(parent_column, axis=1)
-        child_columns[1] = child_index
+        child_columns = columns.take(parent_column, axis=1)
+        child_columns[_RECEIVER] = child_index
         return child_columns
 
 
@@ -124,14 +144,7 @@ def find_candidates(
         return
     levels = _build_levels(hits, faces_light, margin)
     for shape, triples in _query_grid(lights.grid, levels[0], hits.scene.shapes):
-        shaded_pairs = np.zeros((2, 0), dtype=np.intp)
-        # Row 1 contains indices of the largest packets at first, and of hits at last.
-        for packets in levels:
-            triples, shaded_packets = _test_packets(packets, lights, shape, triples)
-            triples = packets.replace_by_children(triples)
-            shaded_pairs = np.concatenate([shaded_pairs, shaded_packets], axis=1)
-            shaded_pairs = packets.replace_by_children(shaded_pairs)
-        yield Candidates(shape=shape, triples=triples, shaded_pairs=shaded_pairs)
+        yield _test_levels(levels, lights, shape, triples)
 
 
 def _query_grid(
@@ -151,44 +164,52 @@ def _query_grid(
             packets.may_be_lit[:, packet_slice],
         )
         for triples in found:
-            triples[1] += first_packet
+            triples[_RECEIVER] += first_packet
             for shape in shapes:
-                group = triples.take(find(shape.objects.contains(triples[2])), axis=1)
-                for batch in split_by_size(packets.child_count[group[1]]):
-                    yield shape, group[:, batch]
+                is_of_shape = shape.objects.contains(triples[_OBJECT])
+                shape_triples = triples.take(find(is_of_shape), axis=1)
+                for batch in split_by_size(packets.child_count[shape_triples[_RECEIVER]]):
+                    yield shape, shape_triples[:, batch]
 
 
-def _test_packets(
-    packets: _Packets, lights: Lights, shape: Shape, candidates: Shaped[Ints, "3 k"]
-) -> tuple[Shaped[Ints, "3 remaining"], Shaped[Ints, "2 shaded"]]:
-    """Test which objects shade all hits in a packet (a group of hits), and which may shade some.
+def _test_levels(
+    levels: list[_Packets], lights: Lights, shape: Shape, triples: Shaped[Ints, "3 n"]
+) -> Candidates:
+    """Test objects with packets (groups of hits) of each level, from the largest to the smallest.
 
-    Where an object shades all hits, `packets.may_be_lit` is set to False.
-
-    Parameters
-    ----------
-    candidates
-        Indices of lights, of packets, and of objects of the given shape.
-
-    Returns
-    -------
-    remaining_candidates
-        The candidates whose object may shade some hits of the packet, except where a single object
-        shades all of them.
-    shaded_packets
-        Indices of lights, and of packets that an object shades entirely.
+    The triples of a light, a packet of the first level and an object become triples of a light, a
+    hit and an object that may shade it.  Where an object shades a whole packet, `may_be_lit` of its
+    level is set to False.
     """
-    # An object in an earlier batch may shade the whole packet.
-    candidates = candidates.take(find(take_2d(packets.may_be_lit, *candidates[:2])), axis=1)
-    light_index, packet_index, object_index = candidates
+    child_triples = triples  # at last, the children are hits
+    shaded_children = np.zeros((2, 0), dtype=np.intp)
+    for packets in levels:
+        # An object in an earlier batch may shade the whole packet.
+        packet_triples = packets.drop_unlit(child_triples)
+        may_block, blocks_all = _test_capsules(packets, lights, shape, packet_triples)
+        shaded_packets = packet_triples[:2].take(find(blocks_all), axis=1)
+        packets.mark_shaded(shaded_packets)
+        # Another object in this batch may shade the whole packet.
+        remaining_triples = packets.drop_unlit(packet_triples.take(find(may_block), axis=1))
+        child_triples = packets.replace_by_children(remaining_triples)
+        shaded_pairs = np.concatenate([shaded_children, shaded_packets], axis=1)
+        shaded_children = packets.replace_by_children(shaded_pairs)
+    return Candidates(shape=shape, triples=child_triples, shaded_pairs=shaded_children)
+
+
+def _test_capsules(
+    packets: _Packets, lights: Lights, shape: Shape, triples: Shaped[Ints, "3 n"]
+) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
+    """Test each object with the capsule around the segments from a packet's hits to a light.
+
+    The rows of `triples` are indices of lights, of packets and of objects.  The first result is
+    False only if the object certainly shades no hit of the packet.  The second is True only if the
+    object certainly shades all of them.
+    """
+    light_index, packet_index, object_index = triples
     center, radius = take(packets.center, packet_index), packets.radius[packet_index]
     light_position = take(lights.position.T, light_index)
-    may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
-    shaded_packets = candidates[:2].take(find(blocks_all), axis=1)
-    put_2d(packets.may_be_lit, shaded_packets[0], shaded_packets[1], False)
-    # Another object in this batch may shade the whole packet.
-    remains = may_block & take_2d(packets.may_be_lit, light_index, packet_index)
-    return candidates.take(find(remains), axis=1), shaded_packets
+    return shape.test_capsules(object_index, center, light_position, radius)
 
 
 def _build_levels(
@@ -196,8 +217,8 @@ def _build_levels(
 ) -> list[_Packets]:
     """Group neighbouring hits into row packets, and these into square packets if objects are large.
 
-    Returns the level of the largest packets first.  The bounding spheres contain all points that
-    are at most `margin` away from a hit.
+    Returns the levels of the hierarchy, from the largest packets to the smallest.  The bounding
+    spheres contain all points that are at most `margin` away from a hit.
     """
     samples_per_side = compute_samples_per_side(hits.samples)
     samples_across_packet = hits.scene.packet_width * samples_per_side
@@ -217,7 +238,7 @@ def _build_row_packets(
 ) -> _Packets:
     """Divide each run of hits into row packets of `max_hits` hits; the last one may have fewer.
 
-    The packets have the order of the hits.
+    A run consists of consecutive hits on one object.  The packets have the order of the hits.
     """
     run_length = np.diff(hits.run_start)
     packets_per_run = -(-run_length // max_hits)  # rounded up
@@ -248,19 +269,30 @@ def _build_square_packets(
     and at similar depths.  A square is `square_width` pixels wide.  The row packets are sorted, so
     that those of each square packet are consecutive.
     """
-    first_hit = row_packets.child_start
-    # One integer encodes the object, and the row and the column of the square.
-    group_key = row_packets.object_index
-    for coordinate in hits.samples.get_positions(hits.sample_index.take(first_hit)):
+    group_key = _encode_squares(hits, row_packets, square_width)
+    order = group_key.argsort(kind="stable")
+    depth = hits.from_eye[2].take(row_packets.child_start)
+    depth_layer = assign_depth_layers(hits.scene.frame, depth, square_width)
+    first_child, child_count = find_runs(group_key[order], depth_layer[order])
+    sorted_packets = row_packets.reorder(order)
+    return _merge_row_packets(sorted_packets, first_child, child_count), sorted_packets
+
+
+def _encode_squares(
+    hits: Hits, row_packets: _Packets, square_width: float
+) -> Shaped[Ints, "packets"]:
+    """Encode the object of each row packet, and the square of its first hit, as one integer.
+
+    Two integers are equal only if both the objects and the squares are the same.  The squares
+    divide the picture, and are `square_width` pixels wide.
+    """
+    key = row_packets.object_index
+    for coordinate in hits.samples.get_positions(hits.sample_index.take(row_packets.child_start)):
+        # First the column of the square, then its row.
         square_coordinate = (coordinate / square_width).astype(np.intp)
         square_coordinate -= square_coordinate.min()
-        group_key = group_key * (square_coordinate.max() + 1) + square_coordinate
-    order = group_key.argsort(kind="stable")
-    depth = hits.from_eye[2].take(first_hit)
-    depth_layer = assign_depth_layers(hits.scene.frame, depth, square_width)
-    row_packets = _Packets._make(field.take(order, axis=-1) for field in row_packets)
-    first_child, child_count = find_runs(group_key[order], depth_layer[order])
-    return _merge_row_packets(row_packets, first_child, child_count), row_packets
+        key = key * (square_coordinate.max() + 1) + square_coordinate
+    return key
 
 
 def _compute_bounding_spheres(
@@ -268,7 +300,7 @@ def _compute_bounding_spheres(
 ) -> tuple[Shaped[Floats, "3 packets"], Shaped[Floats, "packets"]]:
     """Compute the centre, in scene axes, and the radius of a bounding sphere for each row packet.
 
-    A packet ends before the first hit of the next packet.
+    Packet i contains the hits from first_hit[i] up to, but not including, first_hit[i + 1].
     """
     if hits.scene.are_rows_bounded_by_ends and not isinstance(hits.samples, Scattered):
         # The sphere around the first and the last hit contains all hits of the packet (see
@@ -282,8 +314,9 @@ def _compute_bounding_spheres(
         corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
         opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)
-    center = hits.scene.frame.point_to_scene(take(corner + half_diagonal, slice(None)))
-    return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
+    right, down, ahead = corner + half_diagonal
+    center = np.array(hits.scene.frame.point_to_scene((right, down, ahead)))
+    return center, np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 
 def _merge_row_packets(
@@ -295,10 +328,8 @@ def _merge_row_packets(
 
     Each square packet consists of `child_count` row packets, of which `first_child` is the first.
     """
-    low_corner, high_corner = (
-        extremum.reduceat(row_packets.center, first_child, axis=1)
-        for extremum in (np.minimum, np.maximum)
-    )
+    low_corner = np.minimum.reduceat(row_packets.center, first_child, axis=1)
+    high_corner = np.maximum.reduceat(row_packets.center, first_child, axis=1)
     center = 0.5 * (low_corner + high_corner)
     center_offset = row_packets.center - center.repeat(child_count, axis=1)
     needed_radius = np.sqrt((center_offset * center_offset).sum(axis=0)) + row_packets.radius
