@@ -20,7 +20,7 @@ every index up to the largest, so the caller must limit the number of lines in a
 from __future__ import annotations
 
 from typing import Annotated as Shaped
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -36,6 +36,9 @@ _MIN_AREA = 1e-9
 # cell's width, is more than this.  It is 0 for one or two points or points on a straight line, and
 # 1 / (27 m^2) for three neighbouring points of a lattice with m points: 9e-6 for 65 points.
 _MIN_DETERMINANT = 1e-6
+
+_Corners: TypeAlias = tuple[Points2D, Points2D, Points2D]
+"""The first, second and third corners of triangles."""
 
 
 class WeightedPoints(NamedTuple):
@@ -55,31 +58,37 @@ def place_weighted_points(
     """Place the same points in every cell, and weight them to represent the regions between lines.
 
     The lines must be sorted by cell.  The result contains the points of one cell after the other.
-    At its end, the centroids of triangles are added, which cover the regions with too few points.
+    Points in regions with too few points have the weight 0.  Such a region is divided into
+    triangles, whose centroids are added at the end of the result.
     """
     cell_lines = _CellLines.from_lines(lines, cell_count)
     position: Points2D = np.tile(points, cell_count)
     region_index = _find_regions(cell_lines, cell_count, points)
     centroids = _divide_into_triangles(cell_lines, cell_count).compute_centroids()
     region_count = cell_count << cell_lines.max_lines
-    weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
-    added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
+    moments = _compute_point_moments(position, region_index, region_count)
+    is_represented = moments.determinant > _MIN_DETERMINANT
+    region_weights = _compute_region_weights(
+        moments, is_represented, _compute_area_moments(centroids, region_count)
+    )
     placed_points = WeightedPoints(
         cell_index=np.arange(cell_count).repeat(points.size),
         position=position,
-        weight=weight,
+        weight=region_weights.evaluate(position, region_index),
         region_index=region_index,
     )
-    added_points = (field[added_index] for field in centroids)
+    added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
+    added_points = WeightedPoints._make(field[added_index] for field in centroids)
     return WeightedPoints._make(map(np.append, placed_points, added_points))
 
 
 def find_samples_in_mixed_regions(
     region_index: Shaped[Ints, "n"], sample_id: Shaped[Ints, "n"]
 ) -> Shaped[Ints, "k"]:
-    """Find at least one sample in each region whose samples have different ids.
+    """Return the index of at least one sample in each region whose samples have different ids.
 
-    Different ids show that an edge crosses the region which no line represents.
+    Samples have different ids if they hit different faces, or the same face under different lights.
+    Then an edge that no line represents crosses the region.
     """
     reference_id = np.empty(int(region_index.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region_index] = sample_id  # the id of an arbitrary sample in the region
@@ -87,13 +96,10 @@ def find_samples_in_mixed_regions(
 
 
 class _CellLines(NamedTuple):
-    """Lines sorted by cell.
-
-    The lines of cell i have the indices start[i] to start[i + 1] - 1.  A `line_number` counts the
-    lines of one cell from 0.
-    """
+    """Lines sorted by cell; a `line_number` counts the lines of one cell from 0."""
 
     lines: Lines
+    # The lines of cell i have the indices start[i] to start[i + 1] - 1.
     start: Shaped[Ints, "cells+1"]
     max_lines: int  # maximum number of lines in a cell
 
@@ -108,10 +114,11 @@ class _CellLines(NamedTuple):
         cell_index: Shaped[Ints, "n"],
         position: Shaped[Points2D, "m n"],
     ) -> tuple[Shaped[Ints, "k"], Shaped[Floats, "m k"]]:
-        """Evaluate c + a x + b y for one line of each cell, at m points in each of n columns.
+        """Evaluate c + a x + b y for one line of each cell, at m points in the cell.
 
-        The points of column i are in the cell cell_index[i].  The first result is the indices of
-        those columns whose cell has a line of this number.  The second is the values in them.
+        Column i of `position` contains m points in the cell `cell_index[i]`, and `line_number`
+        selects a line of this cell.  Return the indices of the k columns whose cell has such a
+        line, and the values at the points in these columns.
         """
         line_index = self.start[cell_index] + line_number
         column_index = find(line_index < self.start[cell_index + 1])
@@ -123,7 +130,7 @@ class _CellLines(NamedTuple):
 def _find_regions(
     cell_lines: _CellLines, cell_count: int, points: Shaped[Points2D, "m"]
 ) -> Shaped[Ints, "n"]:
-    """Find the index of the region in which each of m points lies, for one cell after the other."""
+    """Return the indices of the regions in which the m points lie, for one cell after the other."""
     cell_index = np.arange(cell_count)
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
     region_index = np.repeat(cell_index[None] << cell_lines.max_lines, points.size, axis=0)
@@ -141,42 +148,40 @@ class _Triangles(NamedTuple):
     region_index: Shaped[Ints, "n"]
 
     def divide(self, cell_lines: _CellLines, line_number: int) -> _Triangles:
-        """Return triangles in which each triangle that one line of its cell crosses is divided.
+        """Divide each triangle that a certain line of its cell crosses into three triangles.
 
-        It is divided into three triangles.  The bit of the line is set in the region indices of all
-        triangles on its positive side.
+        The line has the number `line_number`.  It crosses none of the returned triangles.  Bit
+        `line_number` is set in the region indices of all triangles on its positive side.
         """
         column_index, values = cell_lines.evaluate(line_number, self.cell_index, self.corners)
         is_positive = values > 0
         # The line crosses a triangle unless all three corners are on one side.
         positive_count = is_positive.sum(axis=0)
-        split_index = find((positive_count == 1) | (positive_count == 2))
-        parent_index = column_index[split_index]
-        # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
-        is_a_positive = positive_count[split_index] == 1
-        lone_index = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
+        crossed_index = find((positive_count == 1) | (positive_count == 2))
+        # Rotate the corners of each crossed triangle so that the first is alone on its side.
+        is_lone_positive = positive_count[crossed_index] == 1
+        lone_index = np.argmax(is_positive[:, crossed_index] == is_lone_positive, axis=0)
         corner_index = (lone_index + np.arange(3)[:, None]) % 3
-        a, b, c = self.corners[corner_index, parent_index]
-        a_value, b_value, c_value = values[corner_index, split_index]
-        # The line crosses the sides ab and ac at these points.
-        on_ab = a + a_value / (a_value - b_value) * (b - a)
-        on_ac = a + a_value / (a_value - c_value) * (c - a)
-        # Two parts of each divided triangle are appended, and the third replaces it.
-        corners = np.concatenate([self.corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
-        corners[:, parent_index] = a, on_ab, on_ac
-        new_region = self.region_index[parent_index] | (~is_a_positive << line_number)
-        region_index = np.concatenate([self.region_index, new_region, new_region])
-        region_index[parent_index] |= is_a_positive << line_number
+        parent_index = column_index[crossed_index]
+        lone_part, near_part, far_part = _cut_off_corner(
+            self.corners[corner_index, parent_index], values[corner_index, crossed_index]
+        )
+        # The part with the lone corner replaces the triangle.  The others are appended.
+        corners = np.concatenate([self.corners, near_part, far_part], axis=1)
+        corners[:, parent_index] = lone_part
+        other_region = self.region_index[parent_index] | (~is_lone_positive << line_number)
+        region_index = np.concatenate([self.region_index, other_region, other_region])
+        region_index[parent_index] |= is_lone_positive << line_number
         region_index[column_index[positive_count == 3]] |= 1 << line_number
-        new_cell = self.cell_index[parent_index]
+        other_cell = self.cell_index[parent_index]
         return _Triangles(
             corners=corners,
-            cell_index=np.concatenate([self.cell_index, new_cell, new_cell]),
+            cell_index=np.concatenate([self.cell_index, other_cell, other_cell]),
             region_index=region_index,
         )
 
     def compute_centroids(self) -> WeightedPoints:
-        """Compute the centroid of each triangle, weighted by the area of the triangle."""
+        """Return the centroid of each triangle, with the area of the triangle as its weight."""
         side_ab = self.corners[1] - self.corners[0]
         side_ac = self.corners[2] - self.corners[0]
         # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
@@ -187,6 +192,22 @@ class _Triangles(NamedTuple):
             weight=area,
             region_index=self.region_index,
         )
+
+
+def _cut_off_corner(
+    corners: Shaped[Points2D, "3 n"], values: Shaped[Floats, "3 n"]
+) -> tuple[Shaped[_Corners, "n"], Shaped[_Corners, "n"], Shaped[_Corners, "n"]]:
+    """Divide each triangle into three, by a line that separates the first corner from the others.
+
+    `values` are the values at the corners of a linear function that is zero on the line.  The
+    triangle with the first corner is returned first.
+    """
+    a, b, c = corners
+    a_value, b_value, c_value = values
+    # The line crosses the sides ab and ac at these points.
+    on_ab = a + a_value / (a_value - b_value) * (b - a)
+    on_ac = a + a_value / (a_value - c_value) * (c - a)
+    return (a, on_ab, on_ac), (on_ab, b, c), (on_ab, c, on_ac)
 
 
 def _divide_into_triangles(cell_lines: _CellLines, cell_count: int) -> _Triangles:
@@ -209,6 +230,7 @@ def _divide_into_triangles(cell_lines: _CellLines, cell_count: int) -> _Triangle
 def _sum_by_region(
     region_index: Shaped[Ints, "n"], values: Shaped[Floats, "n"], region_count: int
 ) -> Shaped[Floats, "region_count"]:
+    """Sum the values in each region."""
     # Convert the result: NumPy returns integers if there are no values.
     return np.bincount(region_index, values, region_count).astype(float, copy=False)
 
@@ -229,7 +251,7 @@ class _PointMoments(NamedTuple):
     determinant: Shaped[Floats, "regions"]
 
 
-def _compute_moments(
+def _compute_point_moments(
     position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"], region_count: int
 ) -> _PointMoments:
     """Compute the mean and the covariance of the points in each region."""
@@ -257,38 +279,66 @@ def _compute_moments(
     )
 
 
-def _compute_weights(
-    position: Shaped[Points2D, "n"],
-    region_index: Shaped[Ints, "n"],
-    centroids: WeightedPoints,
-    region_count: int,
-) -> tuple[Shaped[Floats, "n"], Shaped[Bools, "region_count"]]:
-    """Compute the weight of each point, and whether points represent each region.
+class _AreaMoments(NamedTuple):
+    """The area of each region, and the integrals of x and y over the region."""
 
-    A region is represented if it contains at least three points that do not lie almost on a
-    straight line.  The points of a region that is not represented have the weight 0.  `centroids`
-    contains the centroids of triangles that cover each region exactly, weighted by area.
+    area: Shaped[Floats, "regions"]
+    integral_x: Shaped[Floats, "regions"]
+    integral_y: Shaped[Floats, "regions"]
+
+
+def _compute_area_moments(centroids: WeightedPoints, region_count: int) -> _AreaMoments:
+    """Add up triangles that cover each region exactly, given by centroids weighted by area."""
+    region_index = centroids.region_index
+    area = centroids.weight
+    return _AreaMoments(
+        area=_sum_by_region(region_index, area, region_count),
+        integral_x=_sum_by_region(region_index, area * centroids.position.real, region_count),
+        integral_y=_sum_by_region(region_index, area * centroids.position.imag, region_count),
+    )
+
+
+class _RegionWeights(NamedTuple):
+    """The weight of the points in each region, as a linear function of their position."""
+
+    mean_x: Shaped[Floats, "regions"]  # mean position of the points
+    mean_y: Shaped[Floats, "regions"]
+    weight_at_mean: Shaped[Floats, "regions"]
+    gradient_x: Shaped[Floats, "regions"]
+    gradient_y: Shaped[Floats, "regions"]
+
+    def evaluate(
+        self, position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"]
+    ) -> Shaped[Floats, "n"]:
+        """Compute the weight of each point, which lies in the given region."""
+        x = position.real - self.mean_x[region_index]
+        y = position.imag - self.mean_y[region_index]
+        weight = self.weight_at_mean[region_index]
+        return weight + self.gradient_x[region_index] * x + self.gradient_y[region_index] * y
+
+
+def _compute_region_weights(
+    moments: _PointMoments, is_represented: Shaped[Bools, "regions"], area_moments: _AreaMoments
+) -> _RegionWeights:
+    """Choose weights so that points have the area and the centroid of the region that they are in.
+
+    The points in a region that is not represented have the weight 0.
     """
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # the number of points.  With the weights w (1 + t . (point - mean)), the weighted mean of the
     # points is mean + S t.  It is the region's centroid if t = S^-1 (centroid - mean).
-    moments = _compute_moments(position, region_index, region_count)
-    is_represented: Bools = moments.determinant > _MIN_DETERMINANT
-    weighted_x = centroids.weight * centroids.position.real
-    weighted_y = centroids.weight * centroids.position.imag
-    area = _sum_by_region(centroids.region_index, centroids.weight, region_count)
-    moment_x = _sum_by_region(centroids.region_index, weighted_x, region_count)
-    moment_y = _sum_by_region(centroids.region_index, weighted_y, region_count)
-    # The vector from the mean to the region's centroid, scaled by the area.
-    offset_x = moment_x - area * moments.mean_x
-    offset_y = moment_y - area * moments.mean_y
+    area = area_moments.area
+    # The vector area (centroid - mean).
+    offset_x = area_moments.integral_x - area * moments.mean_x
+    offset_y = area_moments.integral_y - area * moments.mean_y
     # Division by infinity gives the weight 0 to points in regions that are not represented.
     point_count = np.where(is_represented, moments.point_count, np.inf)
     divisor = np.where(is_represented, point_count * moments.determinant, np.inf)
-    # The gradient of the weight: the vector w t.
-    gradient_x = (moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor
-    gradient_y = (moments.cov_xx * offset_y - moments.cov_xy * offset_x) / divisor
-    weight = (area / point_count)[region_index]
-    x = position.real - moments.mean_x[region_index]
-    y = position.imag - moments.mean_y[region_index]
-    return weight + gradient_x[region_index] * x + gradient_y[region_index] * y, is_represented
+    # The gradient of the weight is w t.  The inverse of S is [[yy, -xy], [-xy, xx]] / determinant.
+    return _RegionWeights(
+        mean_x=moments.mean_x,
+        mean_y=moments.mean_y,
+        weight_at_mean=area / point_count,
+        gradient_x=(moments.cov_yy * offset_x - moments.cov_xy * offset_y) / divisor,
+        gradient_y=(moments.cov_xx * offset_y - moments.cov_xy * offset_x) / divisor,
+    )
