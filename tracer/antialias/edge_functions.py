@@ -2,9 +2,14 @@
 
 An *edge function* is a smooth function of the position in the picture that is zero on an edge
 (Pineda 1988).  The module `tracer.antialias.edges` defines the functions of all kinds of edges.  A
-*cell* is a pixel or a square part of a pixel.  Each edge function is evaluated at six points of a
-cell.  The quadratic polynomial through the six values shows where the edge crosses the cell, and
-how much it turns there.  If it turns little, a straight line represents it.
+*cell* is a pixel or a square part of a pixel.  `fit_lines` fits a line in four steps:
+
+1. It finds the quadratic polynomial through the values of the edge function at six points.
+2. From the center of the cell, it follows the gradient to a zero of the polynomial.  This is a
+   point on the edge.
+3. There, it replaces the polynomial by its tangent plane, whose zeros are a straight line.
+4. The second derivatives show by which angle the edge turns within the cell.  If the angle is
+   small, the line represents the edge.
 
 Pineda, A parallel algorithm for polygon rasterization, SIGGRAPH 1988.
 """
@@ -21,15 +26,16 @@ from tracer.arrays import Floats, Ints, Triple, find, mark_run_starts, scale
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import bound_variation
 
-# The six points of a cell, in the order that `compute_rays` states and the coordinates of `Lines`.
+# The six points of a cell, in the order that `compute_rays` states, relative to its center and in
+# units of its width.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
-# A line represents an edge that turns across the cell by at most this angle, in radians.  Tuned on
-# the project's scenes: with half of it, errors of 4 samples per pixel are up to 1.6 times as large.
+# A line represents an edge that turns within the cell by at most this angle, in radians.  On the
+# project's scenes, half of it makes errors of 4 samples per pixel up to 1.6 times as large.
 _MAX_TURN = 0.5
 
-# An edge counts as straight if it turns by at most this many radians times the tolerance of the
+# An edge counts as straight if it turns by at most this many radians, times the tolerance of the
 # mean radiance.  Half or twice as much changes errors and times by 1 %.
 _TURN_PER_TOLERANCE = 500.0
 
@@ -109,8 +115,8 @@ class FittedLines(NamedTuple):
     # At most one line for each edge.  An edge has no line if it turns by more than `_MAX_TURN`, or
     # if the line misses the cell.
     lines: Lines
-    # A cell is listed for each edge that may cross it, and either turns too much or has unknown
-    # values.  So an index may be repeated.
+    # The cell of each edge that may cross the cell, and that turns too much or has unknown values.
+    # An index may be repeated.
     curved_cell_index: Shaped[Ints, "k"]
 
 
@@ -118,8 +124,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
     """Fit a straight line to each edge, from batches of values of edge functions.
 
     `tolerance` is the maximum error of the mean radiance of a cell.  The smaller it is, the less an
-    edge may turn before its cell counts as curved.  An edge that turns so much may still have a
-    line.
+    edge may turn before its cell is listed as curved.  Such an edge may still have a line.
     """
     max_turn = min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN)
     # Without edges, there is still an empty batch to concatenate.
@@ -133,10 +138,10 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> FittedLines:
 
 
 def _fit_line_batch(edges: EdgeValues, max_turn: float) -> FittedLines:
-    """Fit a line to each edge; list the cells of edges that turn by more than `max_turn` radians.
+    """Fit a line to each edge, and list the cells of edges that turn by more than `max_turn`.
 
-    The line is parallel to the edge near the center of the cell, and lies at the mean position of
-    the edge.
+    The line is parallel to the edge near the center of the cell, at the edge's mean position.
+    Angles are in radians.
     """
     quadratics = _Quadratics.from_values(edges.values)
     h_across = quadratics.compute_second_derivatives(quadratics.a, quadratics.b)

@@ -2,8 +2,8 @@
 
 A *cell* is a pixel or a square part of a pixel.  An *edge function* is a smooth function of the
 position in the picture that is zero on an edge.  The functions of this module yield the values of
-edge functions at six points of each cell, from which `fit_lines` makes lines.  All values follow
-from the rays from the eye through these points:
+edge functions at six points of each cell, from which `fit_lines` makes lines.  Each value is
+computed from the ray from the eye through the point:
 
 ==========================  ======================================================================
 silhouette of a sphere      the angle between the ray and the direction to the sphere's center,
@@ -108,10 +108,10 @@ def _evaluate_silhouettes(
 
 
 class _ExtendedFaces(NamedTuple):
-    """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
+    """The faces that n hits are on, extended beyond their rims, ready to be met by other rays.
 
-    A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
-    1 / t = d . n / (n . p).
+    All points q of a planar face with the unit normal n and the hit p satisfy n . q = n . p.  So a
+    ray d from the eye meets the face at t d, where 1 / t = d . n / (n . p).
     """
 
     curved_shapes: list[Shape]  # all shapes that have a curved face
@@ -188,9 +188,7 @@ class CellSurfaces(NamedTuple):
 
         The hidden hits lie behind the visible hits, on the same rays from the eye.
         """
-        hit_by_sample = np.empty(self.hits.samples.size, dtype=np.intp)
-        hit_by_sample[self.hits.sample_index] = np.arange(self.cell_index.size)
-        visible_hit_index = hit_by_sample[hidden_hits.sample_index]
+        visible_hit_index = self._find_hits_in_front(hidden_hits)
         # Surfaces that meet within the cell are at most this far apart along the ray.
         max_gap = _compute_footprint_radii(hidden_hits, self.cell_width)
         max_gap += self.footprint_radius[visible_hit_index]
@@ -205,25 +203,31 @@ class CellSurfaces(NamedTuple):
             )
         yield from self._find_face_intersections(hidden_hits, visible_hit_index, is_close)
 
+    def _find_hits_in_front(self, hidden_hits: Hits) -> Shaped[Ints, "n"]:
+        """Return, for each hidden hit, the index of the visible hit on the same ray."""
+        hit_by_sample = np.empty(self.hits.samples.size, dtype=np.intp)
+        hit_by_sample[self.hits.sample_index] = np.arange(self.cell_index.size)
+        return hit_by_sample[hidden_hits.sample_index]
+
     def _find_face_intersections(
         self,
         hidden_hits: Hits,
         visible_hit_index: Shaped[Ints, "n"],
         is_close: Shaped[Bools, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edges where the visible surface of a cell may meet a planar face behind it.
+        """Yield edges where the visible surface may meet a face that no hidden hit is on.
 
-        A hidden hit is on one face of its object, but the visible surface may meet the other faces
-        of this object, too.  Each of them is compared with the visible surface at the point where
-        the ray through the center of the cell meets the plane of the face.
+        A hidden hit is on one face of its object, but the visible surface may meet the other planar
+        faces of this object, too.  The ray through the center of the cell meets the plane of such a
+        face somewhere.  The edge is yielded if this point is close enough to the visible hit.
 
         Parameters
         ----------
         visible_hit_index
             Index of the visible hit in front of each hidden hit, on the same ray from the eye.
         is_close
-            Whether the two surfaces may meet near the hidden hit.  Only such hidden hits, and
-            hidden hits on objects that contain the eye, are examined.
+            Whether the visible surface may meet the face that the hidden hit is on.  Only such
+            hidden hits, and hidden hits on objects that contain the eye, are examined.
         """
         cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
         hidden_object = hidden_hits.hit_object
@@ -277,7 +281,7 @@ class CellSurfaces(NamedTuple):
         object_index: Shaped[Ints, "n"],
         hit_index: Shaped[Ints, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where the surface at each hit meets one face of the given object.
+        """Yield the edges where the surface at each hit meets a face of the object paired with it.
 
         `face_code` is the code of this face (see `tracer.geometry.shape`).
         """
@@ -296,8 +300,8 @@ class CellSurfaces(NamedTuple):
     ) -> Iterator[EdgeValues]:
         """Yield the edges of shadows that may cross cells.
 
-        The lights are in scene axes.  Row 0 of `edge_candidates` contains light indices, row 1 hit
-        indices, and row 2 indices of objects that may block the light near the hit.
+        `light_position` is in scene axes.  The rows of `edge_candidates` are indices of lights, of
+        hits, and of objects that may block the light near the hit.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(light_position)
@@ -342,7 +346,8 @@ class CellSurfaces(NamedTuple):
                 continue
             is_curved = group.planes.face_axis == NO_AXIS
             curvature = np.where(is_curved, scene.curvature[group.run_object], 0)
-            # The normal turns by at most this angle within the footprint, in radians.
+            # The normal turns by at most this angle within the footprint, in radians.  The height
+            # of the light above the tangent plane then changes by at most max_turn * distance.
             max_turn = self.footprint_radius[group.interval] * group.repeat_runs(curvature)
             max_squared_height = max_turn * max_turn * squared_distance[:, group.interval]
             may_cross = light_height[:, group.interval] ** 2 < max_squared_height

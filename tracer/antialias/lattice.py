@@ -28,13 +28,13 @@ from tracer.trace.samples import Rows
 # the cell's width: x and y are between -1/2 and 1/2, and the y-axis points down.
 Points2D: TypeAlias = NDArray[np.complex128]
 
-# For each number of points in a rank-1 lattice: the number of columns from the point of each row to
-# the point in the next row.  The square of this number is -1 modulo the number of points, so a
-# quarter turn maps the lattice onto itself.
+# For each number m of points in a rank-1 lattice, the number k of columns between the points of two
+# successive rows.  A quarter turn maps the point in row 1 and column k to row k and column -1.  It
+# maps the lattice onto itself, because the point in row k is in column k^2 = -1 modulo m.
 _COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
-# A lattice that replaces an upright grid has at least this many times as many points as the grid.
-# For the mean error of most pictures fewer points are enough, but not for the largest error, or for
+# A lattice that replaces an upright grid has at least this many points for each point of the grid.
+# Fewer points are enough for the mean error of most pictures, but not for the largest error, or for
 # edges parallel to lines of the lattice.
 _POINTS_PER_GRID_POINT = 2.5
 
@@ -52,11 +52,11 @@ class Lattice(NamedTuple):
 
     @classmethod
     def choose(cls, grid_side: int, min_ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Choose the smallest lattice that can replace an upright grid.
+        """Choose the smallest lattice that can replace an upright grid in a pixel.
 
-        The grid has `grid_side` points along each side of the pixel.  The lattice has at least
-        `min_ratio` times as many points as the grid, where `min_ratio` is at most 5.  It has 13, 25
-        or 65 points, or consists of copies of a lattice of 5 points.
+        The grid has `grid_side` x `grid_side` points.  The lattice has at least `min_ratio` times
+        as many points; `min_ratio` must be at most 5.  The lattice is one of 13, 25 or 65 points,
+        or consists of copies of a lattice of 5 points.
         """
         candidates = [cls(1, 13), cls(1, 25), cls(1, 65)]
         candidates += [cls(columns, 5 * columns) for columns in range(1, grid_side + 1)]

@@ -4,23 +4,22 @@ A *cell* is a pixel or a square part of a pixel.  `classify_cells` traces the sa
 center of each cell, and finds the edges that may cross the cell (see `classify`).  These decide how
 the mean radiance of the cell is computed:
 
-1. A *smooth* cell shows one face under the same lights.  Its center sample, corrected for the
-   curvature of the radiance, is as accurate as a grid of samples.
-2. A cell that is crossed only by straight lines is sampled on a lattice if few samples are
-   requested in it, because sampling then costs less than subdivision.  The lines divide the cell
-   into regions; the samples in a region together represent its exact area.  If samples in one
-   region hit different faces, or the same face under different lights, then an edge was missed,
-   and the cell is divided after all.
+1. A *smooth* cell, which no edge crosses, shows one face under the same lights.  Its center sample,
+   corrected for the curvature of the radiance, is as accurate as a grid of samples.
+2. If few samples are requested in a cell that only straight lines cross, it is sampled on a
+   lattice, because sampling then costs less than subdivision.  The lines divide the cell into
+   regions; the samples in a region together represent its exact area.  If samples in one region hit
+   different faces, or the same face under different lights, then an edge was missed, and the cell
+   is divided after all.
 3. All other cells are divided into quarters, down to a smallest size.  Cells of this size are
-   sampled, and sampled again on a finer lattice if the first samples show that an edge was
-   missed.  The table below lists the lattices.
+   sampled, and sampled again on a finer lattice if the first samples show that an edge was missed.
 4. *Crowded* pixels, in which finding all edges would take longer than dense sampling, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
    `is_supersampling_cheaper`.
 
 How a cell that edges cross is refined depends on the number n of samples that are requested along
 each of its sides, and on whether it is a pixel or a part of one (see `_choose_steps`).  A cell goes
-on to the second step unless the samples of the first step show that no edge was missed:
+on to the second step if the first step does not apply to it, or shows that an edge was missed:
 
 ==============  =======================================  ===========================
 cells           first step                               second step
@@ -137,12 +136,13 @@ def average_pixels(
     dense_lattice = Lattice.choose(grid_side, min_ratio=1)
     crowded = _sample_cells(scene, classification, crowded_index, dense_lattice)
     pixel_mean[:, crowded_index] = crowded.mean
+    inner_mean = pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1]
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
-    return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
+    return np.stack([*inner_mean.clip(0)], axis=2)
 
 
 def _make_pixel_cells(samples: Rows, grid_side: int, pairs: PixelObjects) -> Cells:
-    """Make a cell of each pixel, from the samples at the centers of the pixels.
+    """Make a cell of each pixel, in the order of `samples`, which are the centers of the pixels.
 
     The result should be as accurate as a grid of `grid_side` x `grid_side` samples in each pixel.
     `pairs` contains the objects whose silhouettes may cross each pixel.
@@ -175,28 +175,47 @@ def _compute_cell_means(
     """
     cells = classification.cells
     cell_mean = estimate.radiance.copy()
-    has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
-    has_lines[classification.lines.cell_index] = True
-    # If the error is unknown (NaN), both are False.
-    is_accurate = estimate.error <= cells.tolerance
-    is_inaccurate = estimate.error > cells.tolerance
-    is_pending = is_refinable & (has_lines | classification.is_unresolved | ~is_accurate)
+    pending = _find_pending_cells(classification, estimate.error)
+    is_pending = is_refinable & pending.is_pending
     steps = _choose_steps(cells)
     if steps.first_lattice is not None:
-        has_only_lines = is_pending & has_lines & ~(classification.is_unresolved | is_inaccurate)
-        first_index = find(is_pending if steps.includes_unresolved else has_only_lines)
+        is_first = is_pending if steps.includes_unresolved else is_pending & pending.has_only_lines
+        first_index = find(is_first)
         sampled = _sample_cells(scene, classification, first_index, steps.first_lattice)
         finished_index = first_index[~sampled.misses_edge]
         cell_mean[:, finished_index] = sampled.mean[:, ~sampled.misses_edge]
         is_pending[finished_index] = False
-    pending_index = find(is_pending)
+    second_index = find(is_pending)
     if steps.second_lattice is not None:
-        sampled = _sample_cells(scene, classification, pending_index, steps.second_lattice)
-        cell_mean[:, pending_index] = sampled.mean
-        return cell_mean
-    for batch in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
-        cell_mean[:, batch] = _divide_and_average(scene, classification, estimate.error, batch)
+        sampled = _sample_cells(scene, classification, second_index, steps.second_lattice)
+        cell_mean[:, second_index] = sampled.mean
+    else:
+        for batch in split_indices(second_index, _choose_batch_size(scene, samples_per_cell=4)):
+            cell_mean[:, batch] = _divide_and_average(scene, classification, estimate.error, batch)
     return cell_mean
+
+
+class _PendingCells(NamedTuple):
+    """Which cells must be sampled or divided."""
+
+    is_pending: Shaped[Bools, "cells"]  # the cell must be sampled or divided
+    has_only_lines: Shaped[Bools, "cells"]  # it has lines, and no other reason is known
+
+
+def _find_pending_cells(
+    classification: Classification, error: Shaped[Floats, "cells"]
+) -> _PendingCells:
+    """Find cells that edges may cross, or whose estimated error is too large or unknown (NaN)."""
+    has_lines = np.zeros(error.size, dtype=np.bool_)
+    has_lines[classification.lines.cell_index] = True
+    # If the error is unknown, both are False.
+    is_accurate = error <= classification.cells.tolerance
+    is_inaccurate = error > classification.cells.tolerance
+    is_unresolved = classification.is_unresolved
+    return _PendingCells(
+        is_pending=has_lines | is_unresolved | ~is_accurate,
+        has_only_lines=has_lines & ~(is_unresolved | is_inaccurate),
+    )
 
 
 def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
@@ -227,28 +246,43 @@ def _sample_cells(
     Lines divide a cell into regions, and the samples in a region are weighted by its area.
     `cell_index` must be in ascending order, and must not contain duplicates.
     """
-    cells = classification.cells
     cell_count = cell_index.size
-    cell_mean = np.empty((3, cell_count))
-    misses_edge = np.zeros(cell_count, dtype=np.bool_)
+    sampled = _SampledCells(
+        mean=np.empty((3, cell_count)), misses_edge=np.empty(cell_count, dtype=np.bool_)
+    )
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
-        batch_lines = _select_lines(classification, cell_index[batch])
-        points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
-        x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
-        samples, order = Scattered.from_positions(x, y)
-        index_in_batch = points.cell_index[order]
-        weight = points.weight[order]
-        radiance, sample_id = compute_radiance_and_visibility(scene, samples)
-        for channel in range(3):
-            weighted_radiance = weight * radiance[channel]
-            cell_mean[channel, batch] = np.bincount(index_in_batch, weighted_radiance, batch.size)
-        mixed_index = find_samples_in_mixed_regions(points.region_index[order], sample_id)
-        misses_edge[batch[index_in_batch[mixed_index]]] = True
-    return _SampledCells(mean=cell_mean, misses_edge=misses_edge)
+        batch_sampled = _sample_batch(scene, classification, cell_index[batch], lattice)
+        sampled.mean[:, batch] = batch_sampled.mean
+        sampled.misses_edge[batch] = batch_sampled.misses_edge
+    return sampled
+
+
+def _sample_batch(
+    scene: PreparedScene,
+    classification: Classification,
+    cell_index: Shaped[Ints, "n"],
+    lattice: Lattice,
+) -> _SampledCells:
+    """Do what `_sample_cells` does, for cells whose samples are traced together."""
+    lines = _select_lines(classification, cell_index)
+    points = place_weighted_points(lines, cell_index.size, lattice.list_points())
+    x, y = classification.cells.to_picture(cell_index[points.cell_index], points.position)
+    # Below, arrays of samples are in the order in which `Scattered` sorts them.
+    samples, order = Scattered.from_positions(x, y)
+    radiance, sample_id = compute_radiance_and_visibility(scene, samples)
+    index_in_batch = points.cell_index[order]
+    weight = points.weight[order]
+    mean = np.empty((3, cell_index.size))
+    for channel in range(3):
+        mean[channel] = np.bincount(index_in_batch, weight * radiance[channel], cell_index.size)
+    mixed_index = find_samples_in_mixed_regions(points.region_index[order], sample_id)
+    misses_edge = np.zeros(cell_index.size, dtype=np.bool_)
+    misses_edge[index_in_batch[mixed_index]] = True
+    return _SampledCells(mean=mean, misses_edge=misses_edge)
 
 
 def _select_lines(classification: Classification, cell_index: Shaped[Ints, "n"]) -> Lines:
-    """Select the lines of the given cells; in the result, the cells are numbered from 0 to n - 1.
+    """Select the lines of the given cells, and renumber the cells from 0 to n - 1 in this order.
 
     `cell_index` must be in ascending order, and must not contain duplicates.
     """
@@ -267,10 +301,10 @@ def _divide_and_average(
     error: Shaped[Floats, "cells"],
     cell_index: Shaped[Ints, "n"],
 ) -> Shaped[Floats, "3 n"]:
-    """Divide the given cells into quarters, and average the mean radiance of each cell's quarters.
+    """Compute the mean radiance of the given cells from that of their quarters.
 
-    `cell_index` must not contain duplicates.  `error` is the estimated error of each cell's mean
-    radiance; NaN if it is unknown.
+    `cell_index` must not contain duplicates.  `error` is the estimated error of the mean radiance
+    of each classified cell; NaN if it is unknown.
     """
     quarters = classification.cells.divide(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)

@@ -39,12 +39,13 @@ class SmoothMeans(NamedTuple):
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of the pixels of a rectangle, which is `width` pixels wide.
 
-    The samples, and the results, are in rows from left to right.  Over a pixel, the mean of a
-    smooth function is about the value at the center plus 1/24 of the sum of the second derivatives
-    along x and y.  Differences between neighbouring pixels approximate these derivatives.  The
-    error of a pixel is NaN if neither of its neighbours in the row, or neither in the column, has
-    the id of the pixel.  Results at the border of the rectangle are meaningless.
+    The samples and the results are ordered row by row, from left to right.  The error of a pixel is
+    NaN if neither of its neighbours in the row has the id of the pixel, or neither of those in the
+    column.  Results at the border of the rectangle are meaningless.
     """
+    # Over a pixel, the mean of a smooth function is about f + (f_xx + f_yy) / 24: the value at the
+    # center and the second derivatives there.  The derivative along an axis is about the difference
+    # to the next pixel, minus the difference from the previous pixel.
     radiance = pixel_samples.radiance
     pixel_id = pixel_samples.id
     correction = np.zeros(radiance.shape)
@@ -73,8 +74,8 @@ def estimate_quarter_means(
     """Estimate the mean radiance of the quarters of cells by Richardson extrapolation.
 
     The sample of the cell is subtracted from the mean of the samples of its four quarters, and a
-    third of the difference is added to each of the four.  This is done only if all five samples
-    have the same id.
+    third of the difference is added to each of the four.  If the five samples do not have the same
+    id, the samples of the quarters remain as they are.
 
     Parameters
     ----------
