@@ -244,7 +244,7 @@ def test_threads_share_prepared_lights(monkeypatch):
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same holds if threads render the tiles of a picture.
         monkeypatch.setattr("tracer.picture.tiles._MAX_TILE_SECONDS", 1e-4)
-        assert len(RenderJob(scene).divide(WorkerPool.sharing)) > 10
+        assert len(RenderJob(scene).work.divide(WorkerPool.sharing)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
 
 

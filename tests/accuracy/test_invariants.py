@@ -73,6 +73,6 @@ def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
         with monkeypatch.context() as context:
             for tile_size, batch_size in ((15, 200), (20, refine._SAMPLES_PER_BATCH)):
                 context.setattr(tiles, "_MAX_TILE_SAMPLES", tile_size)
-                assert len(RenderJob(shuffled, samples).divide(None)) > 1
+                assert len(RenderJob(shuffled, samples).work.divide(None)) > 1
                 context.setattr(refine, "_SAMPLES_PER_BATCH", batch_size)
                 assert np.array_equal(render(shuffled, samples), image)

@@ -52,7 +52,7 @@ def test_every_pixel_is_that_of_the_whole_picture(name, samples, max_samples, mo
         assert part.tobytes() == select(whole, crop).tobytes(), crop
         # In a worker, the job is made from its pickled arguments.
         job = pickle.loads(pickle.dumps(RenderJob(scene, samples, crop=crop)))
-        rectangle = job.divide(None)[-1]
+        rectangle = job.work.divide(None)[-1]
         assert job.render_tile(rectangle).tobytes() == whole[rectangle].tobytes(), crop
 
 

@@ -210,7 +210,7 @@ def test_two_items_per_processor_are_submitted(processors, monkeypatch):
     executor = UnreliableExecutor(FAILURES["never ended"], 0)
     executor.failure_rate = 1
     assert np.array_equal(render(sphere_scene(), executor=executor), render(sphere_scene()))
-    tile_count = len(RenderJob(sphere_scene()).divide(parallel.WorkerPool.sharing))
+    tile_count = len(RenderJob(sphere_scene()).work.divide(parallel.WorkerPool.sharing))
     worker_share = tile_count * processors // (processors + 1)
     assert executor.failure_count == min(2 * processors, worker_share)
 

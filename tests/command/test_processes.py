@@ -59,10 +59,10 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
     scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
     for sharing in (None, WorkerPool.sharing, Threads.sharing):
         job = RenderJob(scene, samples)
-        rectangles = job.divide(sharing)
+        rectangles = job.work.divide(sharing)
         max_seconds = 0.25 / (1 + samples / 10_000)
-        assert len(rectangles) >= min(job.seconds / max_seconds, width * height)
-        assert len(rectangles) >= min(4 * processors, job.seconds / 0.05) or not sharing
+        assert len(rectangles) >= min(job.work.seconds / max_seconds, width * height)
+        assert len(rectangles) >= min(4 * processors, job.work.seconds / 0.05) or not sharing
         counts = np.zeros((height, width), dtype=int)
         for rectangle in rectangles:
             counts[rectangle] += 1
@@ -72,9 +72,9 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
 def test_the_estimated_time_grows_with_samples_and_lights():
     scene = sphere_scene()
     more_light = replace(scene, lights=[*scene.lights] * 3)
-    seconds = RenderJob(scene, 4).seconds
-    assert RenderJob(scene, 400).seconds > 2 * seconds
-    assert RenderJob(more_light, 4).seconds > 2 * seconds
+    seconds = RenderJob(scene, 4).work.seconds
+    assert RenderJob(scene, 400).work.seconds > 2 * seconds
+    assert RenderJob(more_light, 4).work.seconds > 2 * seconds
 
 
 def test_a_worker_caches_the_jobs_of_several_pictures():
@@ -93,7 +93,7 @@ def test_the_picture_is_the_same_however_it_is_divided(samples, monkeypatch):
     for seconds in (1e-9, 1e-4, 1):
         monkeypatch.setattr(tiles, "_MAX_TILE_SECONDS", seconds)
         images.append(render(scene, samples))
-    assert len(RenderJob(scene, samples).divide(None)) == 1
+    assert len(RenderJob(scene, samples).work.divide(None)) == 1
     assert np.array_equal(images[0], images[2])
     assert np.array_equal(images[1], images[2])
 
@@ -130,7 +130,7 @@ def test_leaving_early_drops_the_remaining_items_and_ends_the_pool(small_tiles):
     job = RenderJob(sphere_scene())
     with closing(WorkerPool(1)) as pool:
         work = parallel.Distribution(job.render_tile, job.render_tile, 1, pool)
-        with closing(work.process(job.divide(WorkerPool.sharing))) as results:
+        with closing(work.process(job.work.divide(WorkerPool.sharing))) as results:
             next(results)
             assert multiprocessing.active_children()
         assert (work._waiting, work._futures) == (deque(), {})

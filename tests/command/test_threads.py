@@ -90,7 +90,7 @@ def test_many_threads_render_the_same_scene_at_once(samples, count):
 @pytest.mark.parametrize("samples", [1, 4])
 def test_many_threads_use_the_same_prepared_scene_at_once(samples):
     for scene in make_shared_scenes():
-        rectangles = RenderJob(scene, samples).divide(parallel.Threads.sharing)
+        rectangles = RenderJob(scene, samples).work.divide(parallel.Threads.sharing)
         alone = render(scene, samples, threads=1)
         with ThreadPoolExecutor(8) as pool:
             for _ in range(3):

@@ -194,7 +194,7 @@ class _Run:
     def _start_workers_if_worthwhile(self, render_job: RenderJob) -> None:
         """Let workers take items if the remaining scenes take long, `render_job` included."""
         # The other scenes presumably take about as long as this one.
-        seconds = render_job.seconds * (len(self._jobs) - self._finished_count)
+        seconds = render_job.work.seconds * (len(self._jobs) - self._finished_count)
         if seconds >= self._pool.sharing.min_seconds and self._distribution.executor is None:
             register_result_folders(job.output_path for job in self._jobs)
             self._distribution.executor = self._pool
@@ -206,15 +206,15 @@ class _Run:
         After each tile, show the progress, and keep the workers busy.
         """
         encode = FORMATS[self._settings.file_format].encode
-        if render_job.seconds < job.min_shared_seconds:
+        if render_job.work.seconds < job.min_shared_seconds:
             tiles = render_job.render_tiles(encode, max_threads=1)
         else:
-            rectangles = render_job.divide(self._pool.sharing if self._pool.worker_count else None)
+            sharing = self._pool.sharing if self._pool.worker_count else None
             tiles = self._distribution.process(
                 _Tile(render_job=render_job, encode=encode, rectangle=rectangle)
-                for rectangle in rectangles
+                for rectangle in render_job.work.divide(sharing)
             )
-        all_pixels = render_job.width * render_job.height
+        all_pixels = render_job.rectangle.width * render_job.rectangle.height
         pixel_count = 0
         with closing(tiles):
             for tile in tiles:
@@ -249,7 +249,7 @@ def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | Encode
         return None
     start_time = perf_counter()
     render_job = _make_render_job(item, settings)
-    if render_job.seconds >= item.min_shared_seconds:
+    if render_job.work.seconds >= item.min_shared_seconds:
         return None
     tiles = render_job.render_tiles(FORMATS[settings.file_format].encode, max_threads=1)
     return _write_picture(item, settings, render_job, tiles, start_time)
@@ -282,7 +282,7 @@ def _write_picture(
         errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
         _open_output(job.output_path, file_format.magic) as file,
     ):
-        width, height = render_job.width, render_job.height
+        width, height = render_job.rectangle.width, render_job.rectangle.height
         exposure = file_format.write_picture(file, width, height, tiles)
     if settings.quiet:
         return Report(pixel_count=exposure.pixel_count)
@@ -298,7 +298,8 @@ def _open_output(path: str, magic: bytes) -> AbstractContextManager[IO[bytes]]:
 
 def _make_report(job: Job, render_job: RenderJob, exposure: Exposure, *, seconds: float) -> Report:
     """Report a picture that was written in the given time, with warnings about its scene."""
-    line = f"{job.output_path}: {render_job.width} x {render_job.height} pixels in {seconds:.3f} s"
+    size = f"{render_job.rectangle.width} x {render_job.rectangle.height}"
+    line = f"{job.output_path}: {size} pixels in {seconds:.3f} s"
     whole_exposure = exposure if render_job.is_whole else None
     warnings = lint_scene(render_job.scene, render_job.prepared_scene, whole_exposure)
     return Report(

@@ -30,7 +30,7 @@ def make_notebook_png(scene: Scene) -> bytes:
     png = FORMATS["png"]
     file = io.BytesIO()
     tiles = job.render_tiles(png.encode, choose_thread_count(None))
-    exposure = png.write_picture(file, job.width, job.height, tiles)
+    exposure = png.write_picture(file, job.rectangle.width, job.rectangle.height, tiles)
     for message in lint_scene(shown_scene, job.prepared_scene, exposure):
         warn_user(message, SceneWarning, in_notebook=True)
     if shown_scene is not scene:

@@ -91,7 +91,7 @@ def render(
     job = RenderJob(scene, samples, offset, crop)
     thread_count = choose_thread_count(threads)
     # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
-    image = np.zeros((job.height, job.width, 3))
+    image = np.zeros((job.rectangle.height, job.rectangle.width, 3))
     if executor is None:
         for _ in job.process_tiles(partial(_render_into_image, image, job), thread_count):
             pass
@@ -121,27 +121,28 @@ def _share_with_executor(
     """
 
     def fits_tile(tile: Rectangle, result: object) -> bool:
-        shape = image[job.find_place(tile)].shape
+        shape = (tile.height, tile.width, 3)
         return isinstance(result, np.ndarray) and result.shape == shape
 
-    sharing = WorkerPool.sharing if job.seconds >= WorkerPool.sharing.min_seconds else None
+    is_shared = job.work.seconds >= WorkerPool.sharing.min_seconds
     distribution = Distribution[Rectangle, Any](
         function=partial(_render_into_image, image, job),
         remote_function=job.render_tile,
         worker_count=count_processors(),
-        executor=executor if sharing else None,
+        executor=executor if is_shared else None,
         is_valid=fits_tile,
     )
-    tiles = job.divide(sharing)
+    tiles = job.work.divide(WorkerPool.sharing if is_shared else None)
     for tile, radiance in zip(tiles, distribution.process(tiles), strict=True):
         if radiance is not None:  # the executor rendered the tile
-            image[job.find_place(tile)] = radiance
+            image[tile.relative_to(job.rectangle)] = radiance
 
 
 def _render_into_image(
     image: Shaped[Floats, "height width 3"], job: RenderJob, tile: Rectangle
 ) -> None:
-    job.render_tile(tile, out=image[job.find_place(tile)])
+    """Render a tile into its place in `image`, an array of zeros for the pixels of the job."""
+    job.render_tile(tile, out=image[tile.relative_to(job.rectangle)])
 
 
 def to_png(

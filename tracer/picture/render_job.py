@@ -27,8 +27,8 @@ from tracer.arrays import Floats
 from tracer.picture.formats import EncodedTile, TileEncoder
 from tracer.picture.lint import Exposure
 from tracer.picture.memory import keep_freed_memory
-from tracer.picture.parallel import Distribution, Sharing, Threads
-from tracer.picture.tiles import Rectangle, estimate_cost
+from tracer.picture.parallel import Distribution, Threads
+from tracer.picture.tiles import Rectangle, Work, estimate_work
 from tracer.scene.model import Scene
 from tracer.trace.radiance import compute_radiance
 from tracer.world.prepared_scene import PreparedScene
@@ -77,10 +77,8 @@ class RenderJob:
     scene: Scene
     prepared_scene: PreparedScene
     rectangle: Rectangle  # rows and columns of the picture that are rendered
-    width: int  # width of the rectangle, in pixels
-    height: int  # height of the rectangle, in pixels
     is_whole: bool  # whether the rectangle is the whole picture
-    seconds: float  # rough estimate of the time that one thread needs for the rectangle
+    work: Work  # the rendering of the rectangle, which can be divided into tiles
 
     @_IGNORE_FLOAT_ERRORS
     def __init__(
@@ -92,23 +90,15 @@ class RenderJob:
     ) -> None:
         self.scene = scene
         self._arguments = scene, samples, offset, crop
-        whole_picture = slice(0, scene.height), slice(0, scene.width)
+        whole_picture = Rectangle(rows=slice(0, scene.height), columns=slice(0, scene.width))
         self.rectangle = whole_picture if crop is None else _to_rectangle(crop, scene)
-        self.height, self.width = (each.stop - each.start for each in self.rectangle)
         self.is_whole = self.rectangle == whole_picture
         self._samples_per_side = _compute_samples_per_side(samples)
         self.prepared_scene = PreparedScene(scene, _to_shift(offset))
         self._lattice = _choose_lattice(self.prepared_scene, self._samples_per_side)
-        self._cost = estimate_cost(self.prepared_scene, self._samples_per_side, self._lattice)
-        self.seconds = self._cost.estimate_seconds(self.rectangle)
-
-    def divide(self, sharing: Sharing | None) -> list[Rectangle]:
-        """Divide the rectangle into tiles, from top to bottom and from left to right.
-
-        If workers share the tiles, `sharing` tells their kind.  Then there are enough tiles to keep
-        all processors busy, unless the tiles would be too small.
-        """
-        return self._cost.divide(self.rectangle, sharing)
+        self.work = estimate_work(
+            self.prepared_scene, self.rectangle, self._samples_per_side, self._lattice
+        )
 
     def process_tiles(
         self, process_tile: Callable[[Rectangle], _Result], max_threads: int
@@ -117,16 +107,17 @@ class RenderJob:
 
         A picture that is too small to be worth sharing is rendered in one thread.
         """
-        is_shared = max_threads > 1 and self.seconds >= Threads.sharing.min_seconds
-        thread_count = max_threads if is_shared else 1
-        with closing(Threads(thread_count - 1)) as pool:
+        if max_threads == 1 or self.work.seconds < Threads.sharing.min_seconds:
+            yield from map(process_tile, self.work.divide(None))
+            return
+        with closing(Threads(max_threads - 1)) as pool:
             distribution = Distribution(
                 function=process_tile,
                 remote_function=process_tile,
                 worker_count=pool.worker_count,
                 executor=pool,
             )
-            yield from distribution.process(self.divide(Threads.sharing if is_shared else None))
+            yield from distribution.process(self.work.divide(pool.sharing))
 
     def render_tiles(self, encode: TileEncoder, max_threads: int) -> Generator[EncodedTile]:
         """Render and encode all tiles, and yield them in order."""
@@ -135,19 +126,11 @@ class RenderJob:
     def encode_tile(self, encode: TileEncoder, tile: Rectangle) -> EncodedTile:
         """Render a tile, and encode it for a file."""
         radiance = self.render_tile(tile)
-        is_leftmost = tile[1].start == self.rectangle[1].start
+        is_leftmost = tile.columns.start == self.rectangle.columns.start
         return EncodedTile(
             data=encode(radiance, is_leftmost=is_leftmost),
             exposure=Exposure.from_radiance(radiance),
         )
-
-    def find_place(self, tile: Rectangle) -> Rectangle:
-        """Find the slices that select the pixels of a tile in an array of the rectangle's pixels.
-
-        The rows and columns of `tile` itself are counted from the top left of the whole picture.
-        """
-        rows, columns = map(_to_inner_range, tile, self.rectangle)
-        return rows, columns
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickle_job, (self._pickled_arguments,)
@@ -166,29 +149,27 @@ class RenderJob:
         black pixels are never written.
         """
         keep_freed_memory()
-        rows, columns = tile
-        column_count = columns.stop - columns.start
         if out is None:
-            out = np.zeros((rows.stop - rows.start, column_count, 3))
-        # Outside these rows and columns, no object is visible, so the pixels stay black.
-        visible_pixels = self.prepared_scene.visible_pixels
-        visible_rows, visible_columns = map(_intersect_ranges, tile, visible_pixels)
-        if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
+            out = np.zeros((tile.height, tile.width, 3))
+        # Outside this rectangle, no object is visible, so the pixels stay black.
+        visible = tile.intersect(*self.prepared_scene.visible_pixels)
+        if visible.height <= 0 or visible.width <= 0:
             return out
-        out_rows = out[_to_inner_range(visible_rows, rows)]
+        place = visible.relative_to(tile)
         if self._lattice is None:
             from tracer.antialias.refine import average_pixels
 
-            out_rows[:, _to_inner_range(visible_columns, columns)] = average_pixels(
-                self.prepared_scene, visible_rows, visible_columns, self._samples_per_side
+            out[place] = average_pixels(
+                self.prepared_scene, visible.rows, visible.columns, self._samples_per_side
             )
             return out
         # All columns are sampled, not only the visible ones, so that a single sample per pixel can
         # be stored in whole rows of `out`.  Samples that no object covers take little time.
-        samples = self._lattice.place_in_pixels(visible_rows, columns)
+        out_rows = out[place.rows]
+        samples = self._lattice.place_in_pixels(visible.rows, tile.columns)
         if self._lattice.size > 1:
             sample_radiance = compute_radiance(self.prepared_scene, samples)
-            out_rows[:] = self._lattice.average(sample_radiance, column_count)
+            out_rows[:] = self._lattice.average(sample_radiance, tile.width)
         else:
             # The reshaped array is a view, because a tile is whole rows or a piece of one row.
             compute_radiance(self.prepared_scene, samples, out=out_rows.reshape(-1, 3).T)
@@ -239,7 +220,7 @@ def _to_rectangle(crop: Crop, scene: Scene) -> Rectangle:
         raise ValueError(f"{extent} of {scene.width} x {scene.height} pixels")
     if width < 1 or height < 1:
         raise ValueError(f"crop must have a width and a height of at least 1, not {crop!r}")
-    return slice(top, top + height), slice(left, left + width)
+    return Rectangle(rows=slice(top, top + height), columns=slice(left, left + width))
 
 
 def _to_shift(offset: tuple[SupportsFloat, SupportsFloat]) -> tuple[float, float]:
@@ -249,16 +230,3 @@ def _to_shift(offset: tuple[SupportsFloat, SupportsFloat]) -> tuple[float, float
         raise ValueError(f"offset must be two finite numbers, not {offset!r}")
     right, down = shift.tolist()
     return right, down
-
-
-def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
-    """Return the overlap of two ranges; if they do not overlap, stop <= start."""
-    return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
-
-
-def _to_inner_range(picture_range: slice, outer_range: slice) -> slice:
-    """Convert a range of rows or columns of the picture to a range in the one that contains it.
-
-    For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
-    """
-    return slice(picture_range.start - outer_range.start, picture_range.stop - outer_range.start)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from itertools import pairwise, product
 from math import sqrt
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from tracer.antialias.lattice import Lattice
 from tracer.arrays import CACHE_SIZE
@@ -71,43 +71,82 @@ _PAIR_FACTOR = 400
 # took twice as long.
 _MAX_ADAPTIVE_FACTOR = 2
 
-Rectangle: TypeAlias = tuple[slice, slice]
-"""Rows and columns of a picture."""
+
+class Rectangle(NamedTuple):
+    """A rectangle of pixels, which selects them in an array of the picture."""
+
+    rows: slice
+    columns: slice
+
+    @property
+    def height(self) -> int:
+        """Number of rows; not positive if the rectangle is empty."""
+        return _get_length(self.rows)
+
+    @property
+    def width(self) -> int:
+        """Number of columns; not positive if the rectangle is empty."""
+        return _get_length(self.columns)
+
+    def intersect(self, rows: slice, columns: slice) -> Rectangle:
+        """Return the pixels of this rectangle in certain rows and columns of the picture."""
+        return Rectangle(
+            rows=slice(max(self.rows.start, rows.start), min(self.rows.stop, rows.stop)),
+            columns=slice(
+                max(self.columns.start, columns.start), min(self.columns.stop, columns.stop)
+            ),
+        )
+
+    def relative_to(self, outer: Rectangle) -> Rectangle:
+        """Return the place of this rectangle in an array of the pixels of an outer rectangle.
+
+        For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
+        """
+        top, left = outer.rows.start, outer.columns.start
+        return Rectangle(
+            rows=slice(self.rows.start - top, self.rows.stop - top),
+            columns=slice(self.columns.start - left, self.columns.stop - left),
+        )
 
 
-class Cost(NamedTuple):
-    """What a picture costs, for each of its pixels."""
+class Work(NamedTuple):
+    """The work of rendering a rectangle of a picture, which can be divided into tiles."""
 
+    rectangle: Rectangle
     seconds_per_pixel: float  # estimate for one process with one thread
     max_tile_pixels: float  # maximum number of pixels in a tile, to limit memory and time
 
-    def estimate_seconds(self, rectangle: Rectangle) -> float:
-        """Estimate how long one process takes to prepare a scene and to render a part of it."""
-        rows, columns = rectangle
-        return _FIXED_SECONDS + self.seconds_per_pixel * _get_length(rows) * _get_length(columns)
+    @property
+    def seconds(self) -> float:
+        """Estimate how long one thread takes to prepare the scene and to render the rectangle."""
+        pixel_count = self.rectangle.width * self.rectangle.height
+        return _FIXED_SECONDS + self.seconds_per_pixel * pixel_count
 
-    def divide(self, rectangle: Rectangle, sharing: Sharing | None) -> list[Rectangle]:
-        """Divide a rectangle into tiles, from top to bottom and from left to right.
+    def divide(self, sharing: Sharing | None) -> list[Rectangle]:
+        """Divide the rectangle into tiles, from top to bottom and from left to right.
 
         If workers share the tiles, `sharing` tells their kind.  Then there are enough tiles to keep
         all processors busy, unless the tiles would be too small.
         """
-        rows, columns = rectangle
-        width = _get_length(columns)
+        rectangle = self.rectangle
         max_pixels = self.max_tile_pixels
         processor_count = 1
         if sharing:
             processor_count = count_processors()
-            fair_share = width * _get_length(rows) / (_TILES_PER_PROCESSOR * processor_count)
+            tile_count = _TILES_PER_PROCESSOR * processor_count
+            fair_share = rectangle.width * rectangle.height / tile_count
             min_pixels = sharing.min_tile_seconds / self.seconds_per_pixel
             max_pixels = min(max_pixels, max(min_pixels, fair_share))
-        row_ranges = _divide_range(rows, max(1, int(max_pixels / width)), processor_count)
-        column_ranges = _divide_range(columns, max(1, int(max_pixels)))
-        return list(product(row_ranges, column_ranges))
+        max_rows = max(1, int(max_pixels / rectangle.width))
+        row_ranges = _divide_range(rectangle.rows, max_rows, processor_count)
+        column_ranges = _divide_range(rectangle.columns, max(1, int(max_pixels)))
+        return [Rectangle(*ranges) for ranges in product(row_ranges, column_ranges)]
 
 
-def estimate_cost(scene: PreparedScene, samples_per_side: int, lattice: Lattice | None) -> Cost:
-    """Estimate the cost of a picture for which n x n samples per pixel are requested.
+def estimate_work(
+    scene: PreparedScene, rectangle: Rectangle, samples_per_side: int, lattice: Lattice | None
+) -> Work:
+    """Estimate the work of rendering a rectangle, if n x n samples per pixel are requested.
 
     Parameters
     ----------
@@ -125,7 +164,8 @@ def estimate_cost(scene: PreparedScene, samples_per_side: int, lattice: Lattice 
     seconds_per_sample = _SECONDS_PER_SAMPLE * max(1, scene.light_count) * scene.depth_complexity
     seconds_per_pixel = max(samples_per_pixel * seconds_per_sample, _MIN_SECONDS_PER_PIXEL)
     max_tile_seconds = _MAX_TILE_SECONDS / (1 + samples_per_side**2 / _HALVING_SAMPLES)
-    return Cost(
+    return Work(
+        rectangle=rectangle,
         seconds_per_pixel=seconds_per_pixel,
         max_tile_pixels=min(max_pixels, max_tile_seconds / seconds_per_pixel),
     )
