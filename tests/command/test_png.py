@@ -12,7 +12,7 @@ from PIL import Image
 
 from tracer import to_codes, write_png
 from tracer.picture import png
-from tracer.picture.linear import encode_float32, write_exr
+from tracer.picture.formats import FORMATS
 from tracer.picture.png import compress_tile, write_tiles
 
 
@@ -122,12 +122,11 @@ def test_tiles_make_the_picture(rows, columns):
     assert (read_verified_codes(file) == to_codes(image)).all()
 
 
-def test_an_exr_file_needs_all_pixels():
-    with pytest.raises(ValueError, match="tiles do not make up a picture of 4 x 3 pixels"):
-        write_exr(io.BytesIO(), 4, 3, [encode_float32(np.zeros((2, 4, 3)))])
-
-
-@pytest.mark.parametrize("size", [(2, 4), (4, 4), (3, 5)])
-def test_tiles_that_do_not_make_the_picture(size):
-    with pytest.raises(ValueError, match="tiles do not make up a picture of 4 x 3 pixels"):
-        write_tiles(io.BytesIO(), 4, 3, [compress_tile(np.zeros((*size, 3)))])
+@pytest.mark.parametrize("sizes", [[], [(2, 4)], [(4, 4)], [(3, 5)], [(3, 4), (1, 1)]])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_tiles_that_do_not_make_the_picture(suffix, sizes):
+    """All formats refuse too few and too many pixels with the same message."""
+    file_format = FORMATS[suffix]
+    tiles = [file_format.encode(np.zeros((*size, 3))) for size in sizes]
+    with pytest.raises(ValueError, match=r"^tiles do not make up a picture of 4 x 3 pixels$"):
+        file_format.write(io.BytesIO(), 4, 3, tiles)

@@ -7,7 +7,7 @@ of a picture are written from top to bottom and from left to right.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import IO
 from typing import Annotated as Shaped
 
@@ -45,13 +45,14 @@ def encode_float32(
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
     """Write a .npy file from the tiles of a picture, which `encode_float64` has encoded.
 
-    `numpy.load` returns the radiance as a float64 array of shape (height, width, 3).  It is not
-    checked whether the tiles contain that many numbers.  Raise OSError if the file cannot be
-    written.
+    `numpy.load` returns the radiance as a float64 array of shape (height, width, 3).
+
+    Raise ValueError if the tiles contain more or fewer pixels than the picture has, and OSError if
+    the file cannot be written.
     """
     header = {"descr": "=f8", "fortran_order": False, "shape": (height, width, 3)}
     np.lib.format.write_array_header_1_0(file, header)
-    file.writelines(tiles)
+    file.writelines(_check_tiles(tiles, width, height, bytes_per_value=8))
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
@@ -77,14 +78,12 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     import OpenEXR  # optional, and slow to import
 
     image = np.empty((height, width, 3), np.float32)
-    values = image.reshape(-1)
-    value_count = 0
-    for tile in tiles:
-        tile_values = np.frombuffer(tile, np.float32)
-        values[value_count : value_count + tile_values.size] = tile_values
-        value_count += tile_values.size
-    if value_count != values.size:
-        raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
+    image_bytes = image.reshape(-1).view(np.uint8)
+    start = 0
+    for tile in _check_tiles(tiles, width, height, bytes_per_value=4):
+        stop = start + len(tile)
+        image_bytes[start:stop] = np.frombuffer(tile, np.uint8)
+        start = stop
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     # On Linux, a file without a name has this path.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
@@ -93,3 +92,21 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     except RuntimeError as error:
         reason = str(error).rpartition(f'"{path}". ')[2].rstrip(".")
         raise OSError(reason) from error
+
+
+def _check_tiles(
+    tiles: Iterable[bytes], width: int, height: int, *, bytes_per_value: int
+) -> Iterator[bytes]:
+    """Yield the tiles of a picture that has three values in each pixel.
+
+    Raise ValueError before the first tile with which there are too many bytes, or at the end if
+    there are too few.
+    """
+    remaining_bytes = 3 * width * height * bytes_per_value
+    for tile in tiles:
+        remaining_bytes -= len(tile)
+        if remaining_bytes < 0:
+            break
+        yield tile
+    if remaining_bytes:
+        raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
