@@ -1,7 +1,8 @@
 """Measure how much two pictures differ in linear light, and draw the difference.
 
-*Linear light* is a number from 0 to 1, of which a picture file stores the gamma-encoded 8-bit code.
-SSIM is the structural similarity of two pictures, which is 1 if they are equal.
+A picture file stores an 8-bit code for each channel of a pixel.  *Linear light* is the number from
+0 to 1 for which the code stands: (code / 255)^2.2.  SSIM is the structural similarity of two
+pictures, which is 1 if they are equal.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ Differences: TypeAlias = NDArray[np.float32]
 
 GAMMA = 2.2
 """Exponent of the gamma encoding of 8-bit pictures in the scene format."""
-LARGE_DIFFERENCE = "1e-3"
-"""Pixels that differ by more than this in linear light are counted; as text for reports."""
+LARGE_DIFFERENCE = 1e-3
+"""Pixels that differ by more than this in linear light are counted."""
+LARGE_DIFFERENCE_TEXT = "1e-3"
+"""`LARGE_DIFFERENCE` as reports print it."""
 PERCENTILE = 99.9
-"""Percentile of the pixels' differences that is reported, and that limits their amplification."""
+"""Percentile of the pixels' differences that is reported.  It also limits their amplification."""
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
@@ -37,23 +40,22 @@ _SSIM_SIDE = 7
 _PIXELS_PER_BAND = 500_000
 # Pictures are enlarged, pixel by pixel, to panels at least this many pixels wide or high.
 _MIN_PANEL_SIDE = 300
-# Lengths in pixels: the distance between panels, the height of a line of text, the distance between
-# a picture and the line below it, and the size of the font.
-_MARGIN = 8
-_LABEL_HEIGHT = 24
-_LEGEND_GAP = 4
+# Lengths in pixels on the sheet that shows two pictures and their difference.
+_MARGIN = 8  # around each panel
+_LABEL_HEIGHT = 24  # of a line of text
+_LEGEND_GAP = 4  # between a picture and the line below it
 _FONT_SIZE = 14
 # 8-bit colours of the background and the text.
 _PAPER_COLOR = (250, 250, 250)
 _INK_COLOR = (30, 30, 30)
-# Colours where the first picture is brighter and where it is darker.  Colour-blind readers can tell
-# them apart (M. Okabe and K. Ito, Color Universal Design, 2008).
+# Colours, from 0 to 1, where the first picture is brighter and where it is darker.  Colour-blind
+# readers can tell them apart (M. Okabe and K. Ito, Color Universal Design, 2008).
 _BRIGHTER_COLOR = (1.0, 0.62, 0.0)
 _DARKER_COLOR = (0.34, 0.71, 0.91)
 
 
 def decode_to_linear(codes: Shaped[NDArray[Any], "..."]) -> Shaped[Floats, "..."]:
-    """Convert the 8-bit codes of a picture to linear light from 0 to 1: (code / 255)^2.2."""
+    """Convert the 8-bit codes of a picture to linear light from 0 to 1."""
     light_by_code: Floats = (np.arange(256) / 255) ** GAMMA
     return np.asarray(light_by_code[codes])
 
@@ -77,7 +79,7 @@ class Metrics:
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e},"
             f" {PERCENTILE}% {self.percentile:.1e}, median {self.median:.1e}, RMSE {self.rmse:.1e},"
-            f" pixels over {LARGE_DIFFERENCE}: {self.differing_count}"
+            f" pixels over {LARGE_DIFFERENCE_TEXT}: {self.differing_count}"
         )
 
 
@@ -86,11 +88,11 @@ def measure_differences(
     second_image: Shaped[Floats, "..."],
     is_excluded: Shaped[Bools, "height width"] | None = None,
 ) -> Metrics:
-    """Measure how much two pictures differ in linear radiance.
+    """Measure how much two pictures in linear light differ.
 
-    Pixels that are marked in `is_excluded` are left out of all measures except the SSIM.  Raise
-    ValueError if the shapes of the pictures differ, if a value is not finite, or if every pixel is
-    excluded.
+    Pixels that are marked in `is_excluded` are left out of all measures except the SSIM.  By
+    default, no pixel is excluded.  Raise ValueError if the shapes of the pictures differ, if a
+    value is not finite, or if every pixel is excluded.
     """
     shape = first_image.shape
     if shape != second_image.shape:
@@ -108,7 +110,7 @@ def measure_differences(
         percentile=float(np.percentile(pixel_difference, PERCENTILE)),
         rmse=float(np.sqrt(np.mean(channel_difference**2))),
         median=float(np.median(pixel_difference)),
-        differing_count=int(np.count_nonzero(pixel_difference > float(LARGE_DIFFERENCE))),
+        differing_count=int(np.count_nonzero(pixel_difference > LARGE_DIFFERENCE)),
     )
 
 
@@ -117,7 +119,8 @@ def _compute_ssim(
 ) -> float:
     """Compute the SSIM of two pictures in linear light, after encoding them with gamma.
 
-    Pictures smaller than a window are extended by repeating their last row and column.
+    A picture that is smaller than a window of SSIM is extended: its last row and its last column
+    are repeated.
     """
     height, width, _ = first_image.shape
     padding = (0, max(_SSIM_SIDE - height, 0)), (0, max(_SSIM_SIDE - width, 0)), (0, 0)
@@ -134,7 +137,7 @@ class Comparison(NamedTuple):
 
     ssim: float
     rmse: float  # root mean square difference of all channels
-    maximum: float  # of the absolute differences of all channels
+    max: float  # largest absolute difference of all channels
     # Difference of each pixel in the channel that differs most; positive where A is brighter.
     difference: Shaped[Differences, "height width"]
 
@@ -147,27 +150,29 @@ def compare_codes(
     Large pictures are compared in bands of rows, to save memory.  The result is the same.
     """
     height, width, _ = codes_a.shape
-    window_margin = _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of positions of an SSIM window along a column of pixels.
-    top_row_count = max(1, height - window_margin)
-    ssim = sum_of_squares = maximum = 0.0
+    window_margin = _SSIM_SIDE - 1
+    # Number of rows in which a window of SSIM may begin.
+    start_row_count = max(1, height - window_margin)
+    ssim = sum_of_squares = max_difference = 0.0
     difference_bands = []
     for band_start in range(0, height, band_height):
-        # Windows whose top row is in the band may extend below it.
+        # Windows that begin in the band may extend below it.
         rows = slice(band_start, band_start + band_height + window_margin)
-        light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
-        # The bands' similarities are weighted by the number of windows that begin in them.
-        weight = max(0, min(band_height, top_row_count - band_start)) / top_row_count
-        ssim += weight * _compute_ssim(light_a, light_b)
+        light_a = decode_to_linear(codes_a[rows])
+        light_b = decode_to_linear(codes_b[rows])
+        # The SSIM of a picture is the mean over its windows.  So the SSIM of a band is weighted by
+        # the share of the windows that begin in it.
+        band_start_row_count = max(0, min(band_height, start_row_count - band_start))
+        ssim += band_start_row_count / start_row_count * _compute_ssim(light_a, light_b)
         channel_difference = (light_a - light_b)[:band_height]
-        maximum = max(maximum, float(np.abs(channel_difference).max()))
+        max_difference = max(max_difference, float(np.abs(channel_difference).max()))
         sum_of_squares += float((channel_difference**2).sum())
         difference_bands.append(get_largest_difference(channel_difference))
     return Comparison(
         ssim=ssim,
         rmse=float(np.sqrt(sum_of_squares / codes_a.size)),
-        maximum=maximum,
+        max=max_difference,
         difference=np.concatenate(difference_bands),
     )
 
@@ -188,9 +193,9 @@ def write_comparison(
     images
         The left and the right picture.  Small pictures are enlarged: each pixel becomes a square.
     difference
-        In linear radiance, positive where the left picture is brighter.
+        The left picture minus the right one, in linear light (see `get_largest_difference`).
     titles
-        Texts above the pictures.  What does not fit is cut off.
+        Texts above the left and the right picture.  What does not fit is cut off.
     """
     difference_codes, gain = amplify_difference(difference)
     difference_title = f"difference, {gain:,.10g} times" if gain else "no difference"
@@ -241,8 +246,12 @@ def _paste_panel(sheet: Image.Image, panel: _Panel, left: int, width: int, zoom:
 def get_largest_difference(
     channel_difference: Shaped[Floats, "height width 3"],
 ) -> Shaped[Differences, "height width"]:
-    """Return each pixel's signed difference in the channel that differs most."""
-    minimum, maximum = channel_difference.min(axis=2), channel_difference.max(axis=2)
+    """Return each pixel's signed difference in the channel that differs most.
+
+    If two channels of opposite sign differ most, the positive difference is returned.
+    """
+    minimum = channel_difference.min(axis=2)
+    maximum = channel_difference.max(axis=2)
     difference: Differences = np.where(maximum >= -minimum, maximum, minimum).astype(np.float32)
     return difference
 
@@ -250,24 +259,33 @@ def get_largest_difference(
 def amplify_difference(
     difference: Shaped[Differences, "height width"],
 ) -> tuple[Shaped[Codes, "height width 3"], float]:
-    """Amplify a difference between two pictures, and return it as a colour picture, and the gain.
+    """Draw a difference between two pictures, multiplied by a gain; return the codes and the gain.
 
-    The colour is orange where the difference is positive, and blue where it is negative.  The gain
-    is 1, 2 or 5 times a power of ten.  It is the largest for which the `PERCENTILE`-th percentile
-    of the pixels' differences is not clipped, or 0 if all differences are 0.
+    Pixels are orange where the difference is positive, blue where it is negative, and black where
+    it is 0.  The gain is 0 if all differences are 0.
     """
+    gain = _choose_gain(difference)
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
-    max_shown_difference = float(np.percentile(np.abs(difference), PERCENTILE))
-    # If fewer pixels than those above the percentile differ, show the largest difference.
-    max_shown_difference = max_shown_difference or float(np.abs(difference).max())
-    if max_shown_difference == 0:
-        return codes, 0.0
-    power_of_ten = float(10.0 ** np.floor(np.log10(1 / max_shown_difference)))
-    gains = [factor * power_of_ten for factor in (1, 2, 5)]
-    gain = max(gain for gain in gains if gain * max_shown_difference <= 1)
     colors = 255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])
     brighter_color, darker_color = colors.astype(np.float32)
     for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
         intensity = np.clip(gain * row, -1, 1)[:, None]
         row_codes[:] = np.round(np.maximum(intensity * brighter_color, -intensity * darker_color))
     return codes, gain
+
+
+def _choose_gain(difference: Shaped[Differences, "height width"]) -> float:
+    """Choose the number by which differences of pixels are multiplied to become visible.
+
+    It is the largest of 1, 2 and 5 times a power of ten with which the `PERCENTILE`-th percentile
+    of the absolute differences becomes at most 1.  If that percentile is 0, because fewer pixels
+    differ, the largest difference takes its place.  The gain is 0 if that is 0, too.
+    """
+    abs_difference = np.abs(difference)
+    max_shown_difference = float(np.percentile(abs_difference, PERCENTILE))
+    max_shown_difference = max_shown_difference or float(abs_difference.max())
+    if max_shown_difference == 0:
+        return 0.0
+    power_of_ten = float(10.0 ** np.floor(np.log10(1 / max_shown_difference)))
+    gains = [factor * power_of_ten for factor in (1, 2, 5)]
+    return max(gain for gain in gains if gain * max_shown_difference <= 1)

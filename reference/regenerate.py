@@ -1,11 +1,14 @@
 """Render the stored pictures in this folder again: ``python -m reference.regenerate``.
 
-Each `mitsuba/NAME.exr` is Mitsuba's picture of a scene in the exact flavour of the converter:
-linear RGB, `WIDTH` pixels wide, one sample per pixel.  `mitsuba/manifest.json` says how the
-pictures were rendered.
-`sheet.png` shows every scene, and `sunflower.png` one scene in a larger picture.  The tracer
-renders both.  A stored picture is not replaced by one that differs only by rounding, as pictures do
-that are rendered on another processor.
+The tracer renders `sheet.png`, which shows every scene, and `sunflower.png`, which shows one scene
+in a larger picture.
+
+Mitsuba renders `mitsuba/NAME.exr`, a picture of each scene in linear RGB, `WIDTH` pixels wide, with
+one sample per pixel.  The scene is converted in the exact flavour (see `converters.flavours`), so
+the picture should equal the tracer's.  `mitsuba/manifest.json` says how all were rendered.
+
+Another processor rounds differently.  So a stored picture is kept if the new one differs from it
+only by rounding.
 """
 
 from __future__ import annotations
@@ -41,8 +44,10 @@ WIDTH = 160
 # Samples per pixel in the tracer's pictures.
 _SAMPLES_PER_PIXEL = 16
 
-# Lengths in pixels.  All but the first belong to the sheet, which shows pictures above their names.
+# Height of `sunflower.png` in pixels.
 _LARGE_PICTURE_HEIGHT = 540
+
+# Lengths in pixels on the sheet, which shows each picture above its name.
 _SHEET_WIDTH = 960
 _PICTURE_HEIGHT = 175
 _PICTURE_GAP = 12
@@ -50,19 +55,16 @@ _NAME_HEIGHT = 22
 _NAME_GAP = 3  # between a picture and its name
 _NAME_FONT_SIZE = 13
 
-# Stored radiance is rounded to multiples of this number.  That is far below every tolerance, and
-# makes the files smaller.
+# Mitsuba's radiance is rounded to multiples of this number, which makes the files smaller.  The
+# number is far below every tolerance.
 _RADIANCE_STEP = 2.0**-20
 
-# On another processor, the last bits of radiance differ, which can change a code by one level.
+# Rounding can change an 8-bit code by one level.
 _MAX_CODE_DIFFERENCE = 1
 
 
 def load_small_scene(path: Path) -> Scene:
-    """Load a scene file, and set the width of its picture to `WIDTH`.
-
-    The aspect ratio stays the same, apart from rounding.
-    """
+    """Load a scene file, and scale the size of its picture to a width of `WIDTH` pixels."""
     scene = load_scene(path)
     return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
 
@@ -73,13 +75,16 @@ def hash_scene_file(path: Path) -> str:
 
 
 def read_stored_picture(name: str) -> Shaped[Floats, "height width 3"]:
-    """Read Mitsuba's stored picture of a scene, by the name of its file without the suffix."""
+    """Read Mitsuba's stored picture of the scene in the file `name`.xml, in linear RGB."""
     ensure_variant()
     return np.array(mi.Bitmap(str(MITSUBA_FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
 def render_sheet(paths: Iterable[Path]) -> Image.Image:
-    """Render rows of small pictures, each above the name of its scene, the narrowest first."""
+    """Render each scene in a small picture above its name, and arrange them in rows.
+
+    The narrowest pictures come first.
+    """
     pictures = {path.stem: _render_image(load_scene(path), _PICTURE_HEIGHT) for path in paths}
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _PICTURE_GAP
     sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
@@ -97,13 +102,13 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
 
 
 def _render_image(scene: Scene, height: int) -> Image.Image:
-    """Render a scene, antialiased, at a given height in pixels."""
+    """Render a scene, antialiased, in a picture of the given height in pixels."""
     resized_scene = replace(scene, width=round(scene.width * height / scene.height), height=height)
     return Image.fromarray(to_codes(render(resized_scene, _SAMPLES_PER_PIXEL)))
 
 
 def _store_image(path: Path, image: Image.Image) -> None:
-    """Write a PNG file, unless the stored one differs only by rounding."""
+    """Write a PNG file, unless the file exists and its codes differ by rounding only."""
     if path.exists():
         stored_codes = np.asarray(Image.open(path), dtype=int)
         codes = np.asarray(image, dtype=int)
@@ -114,10 +119,10 @@ def _store_image(path: Path, image: Image.Image) -> None:
 
 
 def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
-    """Test whether Mitsuba's stored picture of a scene exists and differs only by rounding.
+    """Test whether Mitsuba's stored picture of a scene differs from `image` only by rounding.
 
-    `name` is that of the scene file without the suffix.  A few pixels may differ more, because
-    rounding may decide which surface they show.
+    The result is False if no picture is stored.  A few pixels may differ more, because rounding may
+    decide which surface they show.  `name` is the name of the scene file without the suffix.
     """
     if not (MITSUBA_FOLDER / f"{name}.exr").exists():
         return False
@@ -129,16 +134,39 @@ def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
 
 
 def main() -> None:
-    """Render all stored pictures again, and record in `manifest.json` how they were rendered.
-
-    Mitsuba's pictures are replaced together, so that the manifest describes all of them.
-    """
+    """Render all stored pictures again, and store those that have changed."""
     make_parser("reference.regenerate").parse_args()
     _store_image(REFERENCE_FOLDER / "sheet.png", render_sheet(list_scene_files()))
     large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_PICTURE_HEIGHT)
     _store_image(REFERENCE_FOLDER / "sunflower.png", large_picture)
+    _store_mitsuba_pictures()
+
+
+def _store_mitsuba_pictures() -> None:
+    """Render all scenes with Mitsuba, and replace the stored pictures and `manifest.json`.
+
+    All files are kept if no scene file and no picture has changed.  Otherwise all are replaced, so
+    that the manifest describes all pictures.
+    """
     images = {path.stem: render_with_mitsuba(load_small_scene(path)) for path in list_scene_files()}
-    manifest = {
+    manifest = _describe_mitsuba_pictures()
+    manifest_path = MITSUBA_FOLDER / "manifest.json"
+    stored_text = manifest_path.read_text("utf-8") if manifest_path.exists() else "{}"
+    are_same_scenes = json.loads(stored_text).get("scenes") == manifest["scenes"]
+    if are_same_scenes and all(_is_stored(name, image) for name, image in images.items()):
+        return
+    for name, image in images.items():
+        rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
+        write_exr(MITSUBA_FOLDER / f"{name}.exr", rounded_image)
+    manifest_path.write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")
+
+
+def _describe_mitsuba_pictures() -> dict[str, object]:
+    """Return the contents of `manifest.json` for pictures that Mitsuba renders now.
+
+    They are the versions of the software, the settings, and a hash of each scene file.
+    """
+    return {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),
         "drjit": version("drjit"),
@@ -149,12 +177,3 @@ def main() -> None:
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": hash_scene_file(path)} for path in list_scene_files()},
     }
-    manifest_path = MITSUBA_FOLDER / "manifest.json"
-    stored_text = manifest_path.read_text("utf-8") if manifest_path.exists() else "{}"
-    are_same_scenes = json.loads(stored_text).get("scenes") == manifest["scenes"]
-    if are_same_scenes and all(_is_stored(name, image) for name, image in images.items()):
-        return
-    for name, image in images.items():
-        rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
-        write_exr(MITSUBA_FOLDER / f"{name}.exr", rounded_image)
-    manifest_path.write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")

@@ -35,7 +35,7 @@ from reference.command import (
     make_parser,
 )
 from reference.figures import (
-    LARGE_DIFFERENCE,
+    LARGE_DIFFERENCE_TEXT,
     PERCENTILE,
     amplify_difference,
     get_largest_difference,
@@ -137,7 +137,7 @@ def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
             (f"{PERCENTILE}th percentile", f"{metrics.percentile:.2e}"),
             ("RMSE", f"{metrics.rmse:.2e}"), ("median", f"{metrics.median:.2e}"),
-            (f"pixels over {LARGE_DIFFERENCE}", metrics.differing_count),
+            (f"pixels over {LARGE_DIFFERENCE_TEXT}", metrics.differing_count),
             ("edge pixels excluded", result.differs_at_edge.sum()),
             ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
