@@ -1,4 +1,4 @@
-"""Prepare text for messages: escape it, shorten it, or put it in quotes.
+"""Prepare text for messages: escape it, shorten it, put it in quotes, or name an element.
 
 Messages quote scene files, which may contain long lines and control characters.
 """
@@ -24,3 +24,12 @@ def shorten(text: str) -> str:
 def quote(text: str) -> str:
     """Shorten a string to 40 characters, escape unprintable characters, and put it in quotes."""
     return repr(shorten(text))
+
+
+def name_element(kind: str, index: int, line: int | None) -> str:
+    """Return a name for a light or a surface, such as "light 0 (line 12)".
+
+    `line` is its line in the scene file.  If it does not come from a file (None), the name is
+    "light 0".
+    """
+    return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"

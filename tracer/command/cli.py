@@ -75,7 +75,10 @@ _TIME_RESOLUTION_SECONDS = 3.0
 
 
 class _Arguments(argparse.Namespace):
-    """The command-line arguments, described in `_HELP`; None if one is not given."""
+    """The command-line arguments, described in `_HELP`.
+
+    An attribute that may be None is None if its option is not given.
+    """
 
     scenes: list[str]
     output: str | None
@@ -111,6 +114,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Failure
         If the working folder has been deleted, or the folder for the pictures cannot be created.
     """
+    # The functions that take the parser report wrong usage by `parser.error`, which raises
+    # SystemExit.
     parser = _make_parser()
     _check_size(parser, sys.argv[1:] if argv is None else argv)
     arguments = parser.parse_args(argv, namespace=_Arguments())
@@ -189,7 +194,7 @@ def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]
 
 
 def _check_size(parser: CommandParser, argv: Sequence[str]) -> None:
-    """End the process with a suggested fix if the arguments contain, say, ``--size 400 300``.
+    """Suggest a fix by `parser.error` if the arguments contain, for example, ``--size 400 300``.
 
     Otherwise, the 300 would count as the name of a scene.
     """
@@ -203,8 +208,7 @@ def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
     """Return the picture format, a key of `FORMATS`, from the options --format and -o.
 
     Without --format, the suffix of the file at -o determines the format.  Without such a suffix, it
-    is "png".  If the suffix is unknown or contradicts --format, the parser ends the process with an
-    error.
+    is "png".  Call `parser.error` if the suffix is unknown or contradicts --format.
     """
     output = arguments.output or ""
     valid_formats = [arguments.format] if arguments.format else list(FORMATS)
@@ -218,9 +222,9 @@ def _choose_format(parser: CommandParser, arguments: _Arguments) -> str:
 
 
 def _check_names(parser: CommandParser, arguments: _Arguments, file_format: str) -> None:
-    """Check that no scene has the name of a picture, and that "-" has a meaning where it is used.
+    """Call `parser.error` if a scene has the name of a picture, or "-" stands where it cannot.
 
-    Otherwise, the parser ends the process with an error.
+    In the arguments, "-" stands for standard input or standard output.
     """
     scenes = arguments.scenes
     output = arguments.output
@@ -247,8 +251,8 @@ def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -
     """List the scenes to render, each with the path of its picture, in the order of the arguments.
 
     Without the option -o, the format is added to the name of the scene file, as in SCENE.xml.png.
-    If a picture would replace a scene, another picture or a special file, the parser ends the
-    process with an error.  Raise Failure if the working folder has been deleted.
+    Call `parser.error` if a picture would replace a scene, another picture or a special file.
+    Raise Failure if the working folder has been deleted.
     """
     scenes = arguments.scenes
     output = arguments.output
@@ -266,8 +270,9 @@ def _make_jobs(parser: CommandParser, arguments: _Arguments, file_format: str) -
 def _explain_pixels(parser: CommandParser, arguments: _Arguments, pixel: tuple[int, int]) -> int:
     """Print how the colour of a pixel is computed in each scene, and return the exit status.
 
-    `pixel` is the column and the row of the pixel.  If this fails for a scene, an error is printed,
-    the other scenes are still explained, and the exit status is 1.
+    `pixel` is the column and the row of the pixel.  If a scene cannot be read or has no such pixel,
+    print an error, continue with the next scene, and return 1 in the end.  Call `parser.error` if
+    the arguments contain an option for pictures.
     """
     picture_options = arguments.output, arguments.format, arguments.crop, arguments.watch
     if any(picture_options) or arguments.samples > 1:

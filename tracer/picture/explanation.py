@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Ints, Vector, take
-from tracer.picture.lint import name_element
+from tracer.messages import name_element
 from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, Phong, Scene, normalize
 from tracer.trace.first_hits import FirstHits
@@ -188,6 +188,7 @@ class Explanation:
             yield f"  specular  {_format_vector(light.specular)} = {intensity} * {ks} * {highlight}"
 
 
+# Infinities and NaN are valid results: for example, the distance if the ray meets no surface.
 @np.errstate(all="ignore")
 def explain(scene: Scene, x: int, y: int) -> Explanation:
     """Explain how the colour of a pixel is computed in a picture with one sample per pixel.
@@ -252,9 +253,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
 def _explain_light(scene: Scene, hits: Hits, shown_hit: FirstHits, light_index: int) -> LightPart:
     """Compute the contribution of one light to the colour of a pixel that shows a surface.
 
-    `hits` contains one hit, from which the renderer computes the colour, and so do the radiance and
-    the occluders here.  `shown_hit` is this hit in scene axes, as the explanation shows it.  The
-    cosines are computed from `shown_hit`, so that a reader can compute them from what is shown.
+    `hits` contains one hit, and `shown_hit` is the same hit in scene axes, as the explanation shows
+    it.  The radiance and the occluders are computed from `hits`, as in a picture.  The cosines are
+    computed from `shown_hit`, so that readers can check them with the numbers that they see.
     """
     light = scene.lights[light_index]
     prepared_light = hits.scene.prepare_lights(slice(light_index, light_index + 1))

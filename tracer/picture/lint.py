@@ -18,6 +18,7 @@ import numpy as np
 from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.geometry.rounding import LIGHT_TOLERANCE
+from tracer.messages import name_element
 from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
 from tracer.scene.schema import format_number
 from tracer.trace.visibility import find_nearest_hits
@@ -90,14 +91,16 @@ class Exposure(NamedTuple):
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
         weight = pixel_count / max_component.size  # pixels that each examined pixel represents
+        lit_count = round(weight * np.count_nonzero(max_component))
         return cls(
             pixel_count=pixel_count,
-            lit_count=round(weight * np.count_nonzero(max_component)) or int(radiance.any()),
+            # Before a tile counts as black, all of its rows are examined.
+            lit_count=lit_count or int(radiance.any()),
             clipped_count=round(weight * np.count_nonzero(max_component > 1)),
         )
 
     def add(self, other: Exposure) -> Exposure:
-        """Count the pixels of this part of a picture and of another one together."""
+        """Return the counts in two parts of a picture together."""
         return Exposure(
             pixel_count=self.pixel_count + other.pixel_count,
             lit_count=self.lit_count + other.lit_count,
@@ -118,8 +121,8 @@ def lint_scene(
     prepared_scene
         The prepared form of `scene`.
     exposure
-        Counts in the whole picture.  None if only a part of the picture was rendered.  That part
-        may be black or too bright although the whole picture is not, so nothing is said about it.
+        Counts in the whole picture; None if only a part of it was rendered.  That part may be black
+        or too bright although the whole picture is not, so nothing is said about it.
     """
     range_warning = _check_color_ranges(scene)
     if range_warning:
@@ -138,7 +141,7 @@ def lint_scene(
 
 
 def _check_color_ranges(scene: Scene) -> str | None:
-    """Return a warning if a colour seems to be on a scale of 0 to 255 instead of 0 to 1, or None.
+    """Return a warning if a colour seems to be given as 0 to 255 instead of 0 to 1, or None.
 
     The warning names the light, or the first surface with the colour, and suggests a new colour.
     """
@@ -167,7 +170,10 @@ def _is_up_to_255(color: VectorLike) -> bool:
 
 
 def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
-    """Return a warning that a colour is up to 255; `owner_name` is the light or surface."""
+    """Return a warning that a colour seems to be given as 0 to 255, with the colour for 0 to 1.
+
+    `tag` names the colour, and `owner_name` the light or the surface that has it.
+    """
     old_color = " ".join(map(format_number, color))
     new_color = " ".join(f"{value / 255:.3g}" for value in color)
     problem = f"{tag} {old_color} of {owner_name} looks like 0 to 255"
@@ -175,7 +181,7 @@ def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
 
 
 def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield a warning if no surface uses some shaders, and one if some exponents have no effect.
+    """Yield one warning about shaders that no surface uses, and one about exponents without effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file
     have no line that a message could name, so they are skipped.
@@ -243,7 +249,8 @@ def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Itera
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
-    is_inside_shape = []  # for each shape, a table with a row per light and a column per object
+    # For each shape, whether each light (row) is inside each object (column).
+    is_inside_shape = []
     for shape in prepared_scene.shapes:
         distances = shape.measure_distance(shape.objects.list_indices(), (x, y, z))
         is_inside_shape.append(distances < -LIGHT_TOLERANCE * shape.coordinate_bound)
@@ -313,19 +320,11 @@ def _find_visible_objects(prepared_scene: PreparedScene) -> Shaped[Ints, "n"]:
     return np.unique(np.concatenate(index_batches))
 
 
-def name_element(kind: str, index: int, line: int | None) -> str:
-    """Return a name for a light or a surface, such as "light 0 (line 12)".
-
-    Without a line (None), it is "light 0".
-    """
-    return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
-
-
 def _format_light_name(scene: Scene, index: int) -> str:
     return name_element("light", index, scene.lights[index].line)
 
 
 def _format_surface_name(scene: Scene, object_indices: Shaped[Ints, "n"]) -> str:
-    """Return the name of whichever of these objects comes first in the scene file."""
+    """Return the name of the first of these objects in the scene file."""
     surface_index = scene.surfaces.file_index[object_indices].min().item()
     return name_element("surface", surface_index, scene.surfaces[surface_index].line)

@@ -99,9 +99,9 @@ class ErrorCollector:
             remedy = suggestion.remedy
             if tag is None:
                 remedy = suggest_name(name, allowed_names).remedy
-            elif tag == "shader" and suggestion.is_synonym:
+            elif tag == "shader" and not suggestion.needs_more:
                 remedy = f'write <shader ref="{shorten(value)}"/> in it'
-            elif tag in child_tags and suggestion.is_synonym:
+            elif tag in child_tags and not suggestion.needs_more:
                 remedy = f"write <{tag}>{shorten(value)}</{tag}> in it"
             intended_names.add(tag)
             self.report(element, f"unknown attribute {quote(name)}; {remedy}")

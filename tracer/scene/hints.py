@@ -1,7 +1,8 @@
 """Suggest fixes for errors in scene files: XML syntax errors, unknown names, and invalid numbers.
 
 Expat's messages show where a syntax error is, but not which mistake caused it.  The table
-`_SYNTAX_REMEDIES` recognises common mistakes by the text before and after the error.
+`_SYNTAX_REMEDIES` recognises common mistakes by the text before and after the error.  Unknown names
+are compared with the allowed ones, and looked up in a table of names in other scene formats.
 """
 
 from __future__ import annotations
@@ -110,47 +111,11 @@ _MESSAGE_REMEDIES = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
-# Suggested fixes for characters in numbers, by Unicode category: format, dash and space.
-_CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
-_CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
-
-
-class _Replacement(NamedTuple):
-    """An element of this scene format that has the meaning of a name in another format."""
-
-    tag: str
-    advice: str = ""  # says, after the tag, what else differs; "" if only the name differs
-    type_name: str = ""  # the value of the element's attribute `type`; "" if it needs none
-
-
-_EYE = _Replacement("viewPoint"), _Replacement("center")
-_DIRECTION = (_Replacement("viewDir"),)
-_TARGET = (_Replacement("viewDir", advice=", the target minus viewPoint"),)
-_ANGLE = (_Replacement("viewHeight", advice=", 2 tan(fov/2) projDistance, and viewWidth"),)
-
-# Replacements for names of elements and attributes in other scene formats.  The keys are in lower
-# case.  Of several replacements, the first one that the surrounding element may contain is used.
-_REPLACEMENTS: dict[str, Sequence[_Replacement]] = {
-    **dict.fromkeys(("position", "eye", "from"), _EYE),
-    **dict.fromkeys(("direction", "gaze"), _DIRECTION),
-    "up": (_Replacement("viewUp"),),
-    "imageplane": (_Replacement("projDistance", advice=", viewWidth and viewHeight"),),
-    **dict.fromkeys(("lookat", "target", "to"), _TARGET),
-    **dict.fromkeys(("fov", "fovy"), _ANGLE),
-    **{name.lower(): (_Replacement("surface", type_name=name),) for name in ("Sphere", "Box")},
-    **{name.lower(): (_Replacement("shader", type_name=name),) for name in ("Lambertian", "Phong")},
-}
-
-# Names in other scene formats, in lower case, that should be removed where no replacement is
-# allowed.
-_SUPERFLUOUS = frozenset(("imageplane", "lookat", "target", "to", "fov", "fovy", "exposure"))
-_SUPERFLUOUS |= {"samples", "background", "ambient", "integrator"}
-
 
 def suggest_syntax_fix(
     message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
-    """Return a suggested fix for an XML syntax error: "close the <light> opened on line 3".
+    """Return a suggested fix for an XML syntax error, such as "close the <light> on line 3".
 
     Parameters
     ----------
@@ -200,7 +165,7 @@ class Suggestion(NamedTuple):
 
     remedy: str  # the fix as a clause of a message: "did you mean 'radius'?"
     name: str | None  # the name or tag that was probably meant; None if this is unclear
-    is_synonym: bool = True  # whether only the name is wrong; False if more must be changed
+    needs_more: bool = False  # whether more than the name must be changed
 
 
 def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
@@ -222,6 +187,38 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
     return Suggestion(remedy=f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}", name=None)
 
 
+class _Replacement(NamedTuple):
+    """An element of this scene format that has the meaning of a name in another format."""
+
+    tag: str
+    advice: str = ""  # says, after the tag, what else differs; "" if only the name differs
+    type_name: str = ""  # the value of the element's attribute `type`; "" if it needs none
+
+
+_EYE = _Replacement("viewPoint"), _Replacement("center")
+_DIRECTION = (_Replacement("viewDir"),)
+_TARGET = (_Replacement("viewDir", advice=", the target minus viewPoint"),)
+_ANGLE = (_Replacement("viewHeight", advice=", 2 tan(fov/2) projDistance, and viewWidth"),)
+
+# Replacements for names of elements and attributes in other scene formats.  The keys are in lower
+# case.  Of several replacements, the first one that the surrounding element may contain is used.
+_REPLACEMENTS: dict[str, Sequence[_Replacement]] = {
+    **dict.fromkeys(("position", "eye", "from"), _EYE),
+    **dict.fromkeys(("direction", "gaze"), _DIRECTION),
+    "up": (_Replacement("viewUp"),),
+    "imageplane": (_Replacement("projDistance", advice=", viewWidth and viewHeight"),),
+    **dict.fromkeys(("lookat", "target", "to"), _TARGET),
+    **dict.fromkeys(("fov", "fovy"), _ANGLE),
+    **{name.lower(): (_Replacement("surface", type_name=name),) for name in ("Sphere", "Box")},
+    **{name.lower(): (_Replacement("shader", type_name=name),) for name in ("Lambertian", "Phong")},
+}
+
+# Names in other scene formats, in lower case, that should be removed where no replacement is
+# allowed.
+_SUPERFLUOUS = frozenset(("imageplane", "lookat", "target", "to", "fov", "fovy", "exposure"))
+_SUPERFLUOUS |= {"samples", "background", "ambient", "integrator"}
+
+
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
@@ -230,14 +227,20 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if replacement.type_name:
             remedy = f'write <{replacement.tag} type="{replacement.type_name}">'
-            return Suggestion(remedy=remedy, name=replacement.tag, is_synonym=False)
+            return Suggestion(remedy=remedy, name=replacement.tag, needs_more=True)
         if replacement.tag in allowed_tags:
             remedy = f"write {replacement.tag}{replacement.advice}"
-            is_synonym = not replacement.advice
-            return Suggestion(remedy=remedy, name=replacement.tag, is_synonym=is_synonym)
+            needs_more = bool(replacement.advice)
+            return Suggestion(remedy=remedy, name=replacement.tag, needs_more=needs_more)
     if tag.lower() in _SUPERFLUOUS:
         return Suggestion(remedy="remove it", name=None)
     return suggest_name(tag, allowed_tags)
+
+
+# Suggested fixes for characters in numbers, by Unicode category: format characters (Cf), dashes
+# (Pd) and separators (Zs, Zl and Zp).
+_CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
+_CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
 
 def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:

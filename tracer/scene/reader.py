@@ -122,8 +122,8 @@ class _Reader(ErrorCollector):
     # The root, the first <camera> and the first <image>, as far as they have been read, by their
     # tags.
     unique_elements: dict[str, Element]
-    # Tags of the root's children that were probably meant by unknown tags; None for an unclear one.
-    # Elements with these tags are not reported as missing.
+    # Tags of the root's children that were probably meant by unknown tags, and None if the meaning
+    # of one is unclear.  Elements with these tags are not reported as missing.
     intended_tags: set[str | None]
     empty_scene: Scene  # a scene without contents that has the size of the picture
     cameras: Table  # one row in a valid file
@@ -307,8 +307,8 @@ class _Reader(ErrorCollector):
             if child is not None:
                 column.append(self.read_numbers(child, column.validator), child.line, child.tag)
                 continue
+            column.append_default()
             tag = column.tags[0]
-            column.append(column.default_row, 0, tag)
             if column.default is MISSING and tag not in intended_names:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
@@ -332,8 +332,8 @@ class _Reader(ErrorCollector):
         children
             The children, by the names of their fields.
         intended_names
-            The names that were probably meant by unknown attributes and tags; None for an unclear
-            one.
+            The names that were probably meant by unknown attributes and tags.  It contains None if
+            the meaning of one is unclear.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -386,35 +386,36 @@ class _Reader(ErrorCollector):
 
     def report_undefined_shaders(self) -> None:
         """Report each reference to a shader that is defined nowhere in the file."""
-        definition_lines = self.definition_lines  # 0 for undefined shaders
-        if 0 not in definition_lines:
+        if 0 not in self.definition_lines:
             return
-        line_of_name = {
-            name: definition_lines[index]
-            for name, index in self.index_of_name.items()
-            if definition_lines[index]
-        }
-        line_of_normal_form = {normalize("NFC", name): line for name, line in line_of_name.items()}
-        remedies: dict[str, str] = {}
-
-        def suggest_remedy(name: str) -> str:
-            """Return a suggested fix for references to an undefined shader."""
-            lookalike_line = line_of_normal_form.get(normalize("NFC", name))
-            if lookalike_line is not None:
-                return _LOOKALIKE_REMEDY.format(lookalike_line)
-            can_search = line_of_name and len(remedies) < _MAX_SEARCHES
-            return suggest_name(name, line_of_name).remedy if can_search else "define it"
-
+        remedy_of_name = self.suggest_shader_fixes()
         name_of_index = {index: name for name, index in self.index_of_name.items()}
         for table in self.surface_tables.values():
             for reference_line, index in zip(table.shader_lines, table.shader_indices, strict=True):
-                if definition_lines[index]:
-                    continue
-                name = name_of_index[index]
-                if name not in remedies:
-                    remedies[name] = suggest_remedy(name)
-                message = f"no shader is named {quote(name)}; {remedies[name]}"
-                self.report_at(reference_line, "shader", message)
+                if self.definition_lines[index] == 0:
+                    name = name_of_index[index]
+                    message = f"no shader is named {quote(name)}; {remedy_of_name[name]}"
+                    self.report_at(reference_line, "shader", message)
+
+    def suggest_shader_fixes(self) -> dict[str, str]:
+        """Return, by its name, a suggested fix for the references to each undefined shader."""
+        definition_lines = {
+            name: self.definition_lines[index] for name, index in self.index_of_name.items()
+        }
+        defined = {name: line for name, line in definition_lines.items() if line}
+        line_of_normal_form = {normalize("NFC", name): line for name, line in defined.items()}
+        remedies: dict[str, str] = {}
+        for name in definition_lines:
+            if name in defined:
+                continue
+            lookalike_line = line_of_normal_form.get(normalize("NFC", name))
+            if lookalike_line is not None:
+                remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
+            elif defined and len(remedies) < _MAX_SEARCHES:
+                remedies[name] = suggest_name(name, defined).remedy
+            else:
+                remedies[name] = "define it"
+        return remedies
 
     def make_scene(self) -> Scene:
         """Create the scene from the tables.  The whole file must have been read without errors."""

@@ -59,7 +59,6 @@ class Column:
     validator: NumberValidator
     tags: tuple[str, ...]  # the tags that the child may have; nearly all fields have only one
     default: Any  # value if the child is absent; `dataclasses.MISSING` if the child is required
-    default_row: list[float]  # the numbers of the default; NaN if it has none
     numbers: array[float]  # row after row; NaN for missing and unreadable numbers
     lines: array[int]  # for each row, the line of the child; 0 if it is absent
     tag_indices: array[int]  # for each row, the index of the child's tag in `tags`
@@ -70,19 +69,20 @@ class Column:
         self.default = field.default
         has_numbers = self.default not in (MISSING, None)
         default_numbers = self.default if has_numbers else np.nan
-        self.default_row = np.broadcast_to(default_numbers, self.validator.number_count).tolist()
+        self._default_row = np.broadcast_to(default_numbers, self.validator.number_count).tolist()
         self.numbers = array("d")
         self.lines = array("i")
         self.tag_indices = array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append a row: the numbers in a child, its line and its tag.
-
-        If the child is absent, the caller passes `default_row`, line 0 and any of the tags.
-        """
+        """Append a row: the numbers in a child, its line and its tag."""
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
         self.tag_indices.append(self.tags.index(tag))
+
+    def append_default(self) -> None:
+        """Append the row of an object without the child: the numbers of the default, or NaN."""
+        self.append(self._default_row, 0, self.tags[0])
 
     def to_array(self) -> Shaped[Floats, "n count"]:
         """Return a view of the rows.  While it exists, appending a row raises BufferError."""
@@ -102,7 +102,7 @@ class Column:
 class Table:
     """The objects of one dataclass in a scene file, one in each row.
 
-    To add a row, call `begin_row`, and then `append` of each column.
+    To add a row, call `begin_row`, and then `append` or `append_default` of each column.
     """
 
     dataclass: type[schema.Validated]
@@ -131,8 +131,8 @@ class Table:
     def locate_errors(self) -> Iterator[tuple[int, str, str]]:
         """Yield the line, the tag and the message of each invalid or contradictory number.
 
-        The message names XML elements, not dataclass fields.  Rows that contain NaN are skipped,
-        because their errors were reported while the file was read.
+        The message names XML elements, not dataclass fields.  A row of a column that contains NaN
+        is skipped, because its error was reported while the file was read.
         """
         field_rows = self.to_arrays()
         for row, name, message in schema.find_field_errors(self.dataclass, field_rows):
