@@ -11,9 +11,9 @@
 
 In a container, `Shaped[Triple, "n"]` or `Shaped[list[Floats], "n"]` states one shape of all arrays;
 `list[Shaped[Floats, "n"]]` may have another `n` in each item.  A method also knows the names in the
-fields of its class.  Fields are checked when an object is created, and again whenever one of its
-methods is called.  Results of generators are checked item by item: a name that occurs only there
-may have another size in each item.  All other types are left to mypy.
+fields of its class.  Fields are checked when an object is created, and again by each method whose
+own annotations have one of their names.  Results of generators are checked item by item: a name
+that occurs only there may have another size in each item.  All other types are left to mypy.
 
 Not checked are functions and classes inside functions, lambdas, functions that a module stores
 while it is imported in anything but a dictionary, items of iterators that are arguments, arguments
@@ -27,31 +27,16 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, cached_property, lru_cache, wraps
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from types import CodeType, FunctionType, ModuleType, UnionType
-from typing import (
-    Annotated,
-    Any,
-    NamedTuple,
-    TypeAlias,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
-import numpy as np
+from shape_hints import NAMESPACE, OPAQUE, Sizes, Test, refer, write_test
 
-# The size of each name in a call.
-Sizes: TypeAlias = dict[str, int]
-# Tests a value, and adds new names to the sizes.
-Test: TypeAlias = Callable[[Any, Sizes], bool]
-
-# Values with one of these types cannot be checked without using them up, or calling them.
-_OPAQUE = {Callable, Generator, Iterable, Iterator}
+# Stands for an argument or a field that is not given.
 _MISSING = object()
 
 
@@ -65,222 +50,6 @@ class ShapeError(AssertionError):
         super().__init__(f"{place} is {describe(value)}, but should be {hint} with {sizes}")
 
 
-def _write_condition(dimension: str, size: str) -> str:
-    """Return source code that compares the size of a dimension, and may add it to `sizes`.
-
-    `dimension` is a part of a shape, and `size` is the source code of its size.
-    """
-    formula = dimension.removeprefix("#")
-    name, _, increment = formula.partition("+")
-    if formula.isdigit():
-        condition = f"{size} == {formula}"
-    elif name.isidentifier() and not increment:
-        condition = f"sizes.setdefault({name!r}, {size}) == {size}"
-    elif name.isidentifier() and increment.isdigit():
-        rest = f"{size} - {increment}"
-        condition = f"{rest} >= 0 and sizes.setdefault({name!r}, {rest}) == {rest}"
-    else:
-        condition = f"{size} == evaluate({formula!r}, sizes)"
-    return f"({size} == 1 or {condition})" if dimension.startswith("#") else condition
-
-
-@cache
-def _compile_formula(formula: str) -> CodeType:
-    return compile(formula, formula, "eval")
-
-
-def _evaluate(formula: str, sizes: Sizes) -> int | None:
-    """Return the value of a formula; None if it has a name whose size is not known."""
-    try:
-        return int(eval(_compile_formula(formula), {}, sizes))
-    except NameError:
-        return None
-
-
-def _compile_array(dtype: Any, text: str) -> Test:
-    """Compile the hint of an array of this shape, whose dtype is np.dtype[SCALAR].
-
-    The test is generated as source code, since nearly all time of the checks is spent in it.
-    """
-    (scalar,) = get_args(dtype) or (np.generic,)
-    if scalar is Any:
-        scalars: tuple[type, ...] = (np.generic,)
-    elif get_origin(scalar) in (Union, UnionType):
-        scalars = get_args(scalar)
-    else:
-        scalars = (get_origin(scalar) or scalar,)
-    parts = text.split()
-    start = parts.index("...") if "..." in parts else len(parts)
-    dimensions = [part for part in parts if part != "..."]
-    conditions = [
-        "isinstance(value, arrays)",
-        "value.dtype.type in types",
-        f"len(value.shape) {'>=' if '...' in parts else '=='} {len(dimensions)}",
-    ]
-    for index, dimension in enumerate(dimensions):
-        place = index if index < start else index - len(dimensions)
-        conditions.append(_write_condition(dimension, f"value.shape[{place}]"))
-    names = {
-        # NumPy returns scalars for arrays without dimensions.
-        "arrays": (np.ndarray, np.generic),
-        "types": {each for each in np.sctypeDict.values() if issubclass(each, scalars)},
-        "evaluate": _evaluate,
-    }
-    test: Test = eval(f"lambda value, sizes: {' and '.join(conditions)}", names)
-    return test
-
-
-def compile_hint(hint: Any, text: str | None = None) -> Test | None:
-    """Return a test of the arrays in a value by its type hint; None if there is nothing to test.
-
-    Raises
-    ------
-    TypeError
-        If the hint states a shape where none can be checked.
-    """
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        test = compile_hint(arguments[0], arguments[1])
-        if test is None:
-            raise TypeError(f"{hint} has a shape, but no array")
-        return test
-    if origin is np.ndarray:
-        return None if text is None else _compile_array(arguments[1], text)
-    if origin in _OPAQUE:
-        return None
-    tests = [compile_hint(argument, text) for argument in arguments if argument is not Ellipsis]
-    if not any(tests):
-        return None
-    if origin in (Union, UnionType):
-        return _compile_union(arguments, tests)
-    if origin is tuple and Ellipsis not in arguments:
-        return _compile_tuple(tests)
-    is_one_shape = text is not None
-    if origin in (list, tuple, Sequence):
-        return _compile_items(tests[0], is_one_shape, lambda value: value)
-    if origin in (dict, Mapping):
-        return _compile_items(tests[1], is_one_shape, lambda value: value.values())
-    raise TypeError(f"{hint}: arrays in {origin} cannot be checked")
-
-
-def _compile_union(hints: Sequence[Any], shape_tests: Sequence[Test | None]) -> Test:
-    """Compile a union of hints, of which at least one has a test."""
-    pairs = list(zip(hints, shape_tests, strict=True))
-    is_optional = type(None) in hints
-    tests = [test or _compile_type(hint) for hint, test in pairs if hint is not type(None)]
-    if is_optional and len(tests) == 1:  # the usual case, for speed
-        return lambda value, sizes: value is None or tests[0](value, sizes)
-
-    def test_union(value: Any, sizes: Sizes) -> bool:
-        if value is None:
-            return is_optional
-        for test in tests:
-            trial_sizes = dict(sizes)
-            if test(value, trial_sizes):
-                sizes.update(trial_sizes)
-                return True
-        return False
-
-    return test_union
-
-
-def _compile_type(hint: Any) -> Test:
-    """Compile a hint without shapes, to tell it from the other hints of a union.
-
-    What is not a class, such as Any or a type variable, accepts every value.
-    """
-    origin, arguments = get_origin(hint) or hint, get_args(hint)
-    if origin is tuple and arguments and Ellipsis not in arguments:
-        return _compile_tuple([_compile_type(argument) for argument in arguments])
-    if origin is float:
-        origin = (int, float)  # as for mypy
-    elif not isinstance(origin, type) or getattr(origin, "_is_protocol", False):
-        return lambda value, sizes: True
-    return lambda value, sizes: isinstance(value, origin)
-
-
-def _compile_tuple(tests: Sequence[Test | None]) -> Test:
-    """Compile a tuple with a test, or None, for each item; as source code, for speed."""
-    conditions = ["isinstance(value, tuple)", f"len(value) == {len(tests)}"]
-    conditions += [f"tests[{k}](value[{k}], sizes)" for k, test in enumerate(tests) if test]
-    compiled: Test = eval(f"lambda value, sizes: {' and '.join(conditions)}", {"tests": tests})
-    return compiled
-
-
-def _compile_items(
-    test: Test | None, is_one_shape: bool, list_items: Callable[[Any], Iterable[Any]]
-) -> Test:
-    assert test
-
-    def test_items(value: Any, sizes: Sizes) -> bool:
-        return all(test(x, sizes if is_one_shape else dict(sizes)) for x in list_items(value))
-
-    return test_items
-
-
-class _Fields(NamedTuple):
-    """What is checked of the objects of a class."""
-
-    sizes: list[str]  # names of the fields of type int
-    # Name, test, place for messages, and annotation of each field with a shape.
-    tests: list[tuple[str, Test, str, str]]
-
-
-@cache
-def compile_fields(owner: type) -> _Fields:
-    """Find the sizes and compile the tests in the fields of a class and its bases."""
-    annotations = [inspect.get_annotations(base) for base in reversed(owner.__mro__)]
-    if "Shaped" not in str(annotations):
-        return _Fields([], [])
-    texts = {name: text for each in annotations for name, text in each.items()}
-    hints = get_type_hints(owner, include_extras=True)
-    tests = [
-        (name, test, f"{owner.__qualname__}.{name}", texts[name])
-        for name, hint in hints.items()
-        if (test := compile_hint(hint))
-    ]
-    return _Fields(sizes=[name for name, hint in hints.items() if hint is int], tests=tests)
-
-
-class _Signature(NamedTuple):
-    """What is checked in the calls of a function."""
-
-    # Index of each parameter with a shape among the arguments by position, its name, and its test.
-    # The index of a parameter that is passed by name only is too large for any call.
-    parameters: list[tuple[int, str, Test]]
-    rest: tuple[str, Test] | None  # name of *args, and the test of each of them
-    # The test of the result, or of each item if the function returns an iterator.
-    result: Test | None
-    is_iterator: bool
-    # Parameters that may be sizes, as in `parameters`.
-    sizes: list[tuple[int, str]]
-
-
-@cache
-def compile_function(function: Callable[..., Any]) -> _Signature:
-    """Compile the tests of the arguments and of the result of a function."""
-    hints = get_type_hints(function, include_extras=True)
-    is_iterator = get_origin(hints.get("return")) in _OPAQUE - {Callable}
-    if is_iterator:
-        hints["return"] = get_args(hints["return"])[0]
-    tests = {name: test for name, hint in hints.items() if (test := compile_hint(hint))}
-    parameters = inspect.signature(function).parameters.values()
-    rest = next((each.name for each in parameters if each.kind == each.VAR_POSITIONAL), "")
-    places = {
-        each.name: index if each.kind <= each.POSITIONAL_OR_KEYWORD else sys.maxsize
-        for index, each in enumerate(parameters)
-        if each.name != rest
-    }
-    words = set(re.findall(r"\w+", str(function.__annotations__.values())))
-    return _Signature(
-        parameters=[(places[name], name, tests[name]) for name in tests if name in places],
-        rest=(rest, tests[rest]) if rest in tests else None,
-        result=tests.get("return"),
-        is_iterator=is_iterator,
-        sizes=[(index, name) for name, index in places.items() if name in words],
-    )
-
-
 def describe(value: Any) -> str:
     """Return the types and shapes of the arrays in a value."""
     if isinstance(value, tuple | list):
@@ -288,20 +57,141 @@ def describe(value: Any) -> str:
     return f"{value.dtype}{list(value.shape)}" if hasattr(value, "dtype") else repr(value)[:50]
 
 
-def check_fields(instance: object, owner: type, *, is_complete: bool = True) -> Sizes:
-    """Check the fields of an object, and return the sizes of the names in them.
+class _Check(NamedTuple):
+    """What is checked of a value."""
 
-    Fields may be missing if the object is not complete: `__init__` may call methods.
-    """
-    names, tests = compile_fields(owner)
-    sizes = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
-    for name, test, place, hint in tests:
-        value = getattr(instance, name, _MISSING)
-        if value is _MISSING and not is_complete:
-            continue
-        if not test(value, sizes):
-            raise ShapeError(place, value, hint, sizes)
-    return sizes
+    place: str  # for messages
+    hint: Any  # the annotation
+    test: Test
+
+    def write(self, expression: str, indent: str = "    ") -> list[str]:
+        """Write statements that check the value of an expression."""
+        error = f"{refer(ShapeError)}({self.place!r}, value, {refer(self.hint)}, sizes)"
+        return [
+            f"{indent}value = {expression}",
+            f"{indent}if value is not {refer(_MISSING)} and not ({self.test}): raise {error}",
+        ]
+
+
+class _Fields(NamedTuple):
+    """What is checked of the objects of a class."""
+
+    sizes: list[str]  # names of the fields of type int
+    checks: dict[str, _Check]  # fields with a shape, by name
+
+    def write(self, instance: str, names: set[str] | None = None) -> list[str]:
+        """Write statements that check the fields of an object.
+
+        If `names` are given, check only the fields that determine the sizes of these names, if
+        they are set already: `__init__` may call methods.
+        """
+        lines = []
+        for name in self.sizes:
+            if names is None or name in names:
+                lines += [f"    if hasattr({instance}, {name!r}):"]
+                lines += [f"        sizes[{name!r}] = {instance}.{name}"]
+        for name, check in self.checks.items():
+            if names is None:
+                lines += check.write(f"{instance}.{name}")
+            elif names & find_names(check.hint):
+                lines += check.write(f"getattr({instance}, {name!r}, {refer(_MISSING)})")
+        return lines
+
+
+def find_names(annotation: str) -> set[str]:
+    """Find the names of dimensions in the source code of an annotation."""
+    shapes = re.findall(r"""["'](.*?)["']""", annotation)
+    return {name for shape in shapes for name in re.findall(r"[^\W\d]\w*", shape)}
+
+
+@cache
+def find_fields(owner: type) -> _Fields:
+    """Find the sizes and the shapes in the fields of a class and its bases."""
+    annotations = [inspect.get_annotations(base) for base in reversed(owner.__mro__)]
+    if "Shaped" not in str(annotations):
+        return _Fields(sizes=[], checks={})
+    texts = {
+        name: str(getattr(hint, "__forward_arg__", hint))  # NamedTuple makes ForwardRefs of strings
+        for each in annotations
+        for name, hint in each.items()
+    }
+    hints = get_type_hints(owner, include_extras=True)
+    return _Fields(
+        sizes=[name for name, hint in hints.items() if hint is int],
+        checks={
+            name: _Check(f"{owner.__qualname__}.{name}", texts[name], test)
+            for name, hint in hints.items()
+            if (test := write_test(hint))
+        },
+    )
+
+
+def _compile_definition(lines: Sequence[str]) -> Callable[..., Any]:
+    """Compile the source code of a function named `checked`."""
+    names: dict[str, Any] = {}
+    exec(compile("\n".join(lines), __file__, "exec"), NAMESPACE, names)
+    checked: Callable[..., Any] = names["checked"]
+    return checked
+
+
+@cache
+def compile_function(function: Callable[..., Any], owner: type | None) -> Callable[..., Any]:
+    """Compile a function that checks the arguments and the results of another one."""
+    texts = function.__annotations__
+    hints = get_type_hints(function, include_extras=True)
+    is_iterator = get_origin(hints.get("return")) in OPAQUE - {Callable}
+    if is_iterator:
+        hints["return"] = get_args(hints["return"])[0]
+    place = function.__qualname__
+    checks = {
+        name: _Check(f"{place}: {name}", texts[name], test)
+        for name, hint in hints.items()
+        if (test := write_test(hint))
+    }
+    words = set(re.findall(r"\w+", str(texts.values())))
+    lines = ["def checked(*args, **kwargs):", "    count = len(args)", "    sizes = {}"]
+    if owner:
+        names = find_names(" ".join(map(str, texts.values())))
+        lines += find_fields(owner).write("args[0]", names)
+    value_lines = []
+    for index, parameter in enumerate(inspect.signature(function).parameters.values()):
+        name = parameter.name
+        expression = f"kwargs.get({name!r}, {refer(_MISSING)})"
+        if parameter.kind <= parameter.POSITIONAL_OR_KEYWORD:
+            expression = f"args[{index}] if count > {index} else {expression}"
+        if parameter.kind == parameter.VAR_POSITIONAL:
+            if name in checks:
+                value_lines += [f"    for each in args[{index}:]:"]
+                value_lines += checks[name].write("each", indent="        ")
+        elif name in checks:
+            value_lines += checks[name].write(expression)
+        elif name in words:
+            lines += [f"    value = {expression}"]
+            lines += [f"    if isinstance(value, int): sizes[{name!r}] = value"]
+    lines += value_lines
+    call = f"{refer(function)}(*args, **kwargs)"
+    if "return" not in checks:
+        lines += [f"    return {call}"]
+    elif is_iterator:
+        lines += [f"    return {refer(_compile_items(place, checks['return']))}({call}, sizes)"]
+    else:
+        check = checks["return"]._replace(place=f"{place}: result")
+        lines += [*check.write(call), "    return value"]
+    return _compile_definition(lines)
+
+
+def _compile_items(place: str, check: _Check) -> Callable[..., Any]:
+    """Compile a generator that checks items, each with the same known sizes, and yields them."""
+    item_check = check._replace(place=f"{place}: item")
+    return _compile_definition(
+        [
+            "def checked(items, known_sizes):",
+            "    for item in items:",
+            "        sizes = dict(known_sizes)",
+            *item_check.write("item", indent="        "),
+            "        yield item",
+        ]
+    )
 
 
 def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..., Any]:
@@ -309,44 +199,13 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
 
     The names in the fields of a class, `owner`, are known if the first argument is an instance.
     """
-    hints = function.__annotations__
-    if "Shaped" not in str(hints.values()):
+    if "Shaped" not in str(function.__annotations__.values()):
         return function
-    place = function.__qualname__
-    positional_count = function.__code__.co_argcount
 
-    def check_items(items: Iterator[Any], test: Test, sizes: Sizes) -> Iterator[Any]:
-        for item in items:
-            item_sizes = dict(sizes)
-            if not test(item, item_sizes):
-                raise ShapeError(f"{place}: item", item, hints["return"], item_sizes)
-            yield item
-
+    # Annotations may name what the module defines later, so they are evaluated by the first call.
     @wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        signature = compile_function(function)
-        sizes = check_fields(args[0], owner, is_complete=False) if owner else {}
-        for index, name in signature.sizes:
-            value = args[index] if index < len(args) else kwargs.get(name)
-            if isinstance(value, int):
-                sizes[name] = value
-        for index, name, test in signature.parameters:
-            value = args[index] if index < len(args) else kwargs.get(name, _MISSING)
-            if value is not _MISSING and not test(value, sizes):
-                raise ShapeError(f"{place}: {name}", value, hints[name], sizes)
-        if signature.rest:
-            name, test = signature.rest
-            for value in args[positional_count:]:
-                if not test(value, sizes):
-                    raise ShapeError(f"{place}: {name}", value, hints[name], sizes)
-        result = function(*args, **kwargs)
-        if signature.result is None:
-            return result
-        if signature.is_iterator:
-            return check_items(result, signature.result, sizes)
-        if not signature.result(result, sizes):
-            raise ShapeError(f"{place}: result", result, hints["return"], sizes)
-        return result
+        return compile_function(function, owner)(*args, **kwargs)
 
     return checked
 
@@ -367,15 +226,19 @@ def wrap_class(owner: Any) -> None:
             setattr(owner, name, member.getter(wrap(member.fget, owner)))
         elif isinstance(member, cached_property):
             member.func = wrap(member.func, owner)
-    if not compile_fields(owner).tests:
+    fields = find_fields(owner)
+    if not fields.checks:
         return
+    check_fields = _compile_definition(
+        ["def checked(instance):", "    sizes = {}", *fields.write("instance")]
+    )
     is_tuple = issubclass(owner, tuple)
     create = owner.__new__ if is_tuple else owner.__init__
 
     @wraps(create)
     def checked_create(first: Any, *args: Any, **kwargs: Any) -> Any:
         result = create(first, *args, **kwargs)
-        check_fields(result if is_tuple else first, owner)
+        check_fields(result if is_tuple else first)
         return result
 
     if is_tuple:

@@ -311,11 +311,11 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
 @np.errstate(all="ignore")
 @pytest.mark.parametrize("name", ["four-spheres", "room", "highlights", "sticks-perspective"])
 def test_means_where_thousands_of_samples_err(name: str) -> None:
-    """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
+    """Four million samples confirm the bounds where 65 x 65 samples err most: in two pixels."""
     scene = small_scene(name, 24, 14)
     certified, prepared_scene = certify(scene, 1 / 32768), CertifiedScene(scene).prepared_scene
     difference = np.abs(render_supersampled(scene, 65) - certified.image).max(axis=2)
-    for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-4]):
+    for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-2]):
         radiance_sum, grid_side = np.zeros(3), 2048
         offsets = (np.arange(grid_side) + 0.5) / grid_side
         for y in row + offsets:

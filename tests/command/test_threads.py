@@ -66,7 +66,7 @@ def make_shared_scenes() -> list[Scene]:
 
 
 @pytest.mark.parametrize(
-    "count", [5, pytest.param(100, marks=pytest.mark.slow)], ids=["some", "many"]
+    "count", [5, pytest.param(30, marks=pytest.mark.slow)], ids=["some", "many"]
 )
 @pytest.mark.parametrize("samples", [1, 4])
 def test_many_threads_render_the_same_scene_at_once(samples, count):

@@ -250,7 +250,7 @@ def build_hostile_scene(seed: int) -> Scene:
 
 SEEDS = [
     range(4),
-    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 200, 14)),
+    *(pytest.param(range(n, n + 14), marks=pytest.mark.slow) for n in range(4, 102, 14)),
 ]
 
 
