@@ -107,13 +107,15 @@ class _Intersections(NamedTuple):
             hit_data=self.hit_data.take(pair_index),
         )
 
-    def compute_positions(self, depth: float) -> Shaped[Floats, "3 n"]:
-        """Compute the vectors from the eye to the hits, in camera axes.
+    def compute_positions(self, depth: float, out: Shaped[Floats, "3 n"]) -> None:
+        """Store the vectors from the eye to the hits, in camera axes, in an array.
 
         `depth` is the forward component of all rays.
         """
         ray_y = repeat_runs(self.ray_y, self.sample_count)
-        return np.array([self.t * self.ray_x, self.t * ray_y, self.t * depth])
+        np.multiply(self.t, self.ray_x, out=out[0])
+        np.multiply(self.t, ray_y, out=out[1])
+        np.multiply(self.t, depth, out=out[2])
 
     def find_run_starts(
         self, samples: Samples, frame: CameraFrame, hit_depth: Shaped[Floats, "n"]
@@ -217,20 +219,23 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
 
     No intersection in the groups may be a miss.
     """
-    positions = [group.compute_positions(scene.frame.depth) for group in groups]
+    from_eye = np.empty((3, sum(group.t.size for group in groups)))
     shape_hits = list[ShapeHits]()
     start = 0
-    for group, group_positions in zip(groups, positions, strict=True):
+    for group in groups:
+        end = start + group.t.size
         if group.t.size:
-            shape_hits.append(_build_shape_hits(scene, samples, group, group_positions, start))
-        start += group.t.size
+            positions = from_eye[:, start:end]
+            group.compute_positions(scene.frame.depth, out=positions)
+            shape_hits.append(_build_shape_hits(scene, samples, group, positions, start))
+        start = end
     # Without groups, np.concatenate needs an array that has the type of the result.
     no_index = np.zeros(0, dtype=np.intp)
     run_length = np.concatenate([no_index, *(group.run_length for group in shape_hits)])
     return Hits(
         scene=scene,
         samples=samples,
-        from_eye=np.concatenate([np.zeros((3, 0)), *positions], axis=1),
+        from_eye=from_eye,
         groups=shape_hits,
         sample_index=np.concatenate([no_index, *(group.sample_index for group in shape_hits)]),
         run_start=np.append(0, run_length.cumsum()),
