@@ -153,7 +153,7 @@ def test_points_of_crowds(monkeypatch: Patch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_of_many_scenes(kind: str, monkeypatch: Patch) -> None:
-    seed_end = {"crowd": 16, "grazing": 26}.get(kind, 126)
+    seed_end = {"crowd": 11, "grazing": 16}.get(kind, 66)
     assert check_samples(monkeypatch, make_scenes([kind], range(6, seed_end))) > 10_000
 
 
