@@ -38,6 +38,7 @@ import numpy as np
 
 from tracer.antialias.cells import Cells
 from tracer.antialias.edge_functions import EdgeValues, compute_rays
+from tracer.antialias.extended_faces import ExtendedFaces
 from tracer.arrays import (
     Bools,
     Floats,
@@ -52,7 +53,7 @@ from tracer.arrays import (
     take_columns,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
+from tracer.geometry.shape import NO_AXIS, Shape
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import PreparedScene
 
@@ -107,57 +108,6 @@ def _evaluate_silhouettes(
             yield EdgeValues(cell_index=cell_index[edge_pair_index], values=edges.values)
 
 
-class _ExtendedFaces(NamedTuple):
-    """The faces that n hits are on, extended beyond their rims, ready to be met by other rays.
-
-    All points q of a planar face with the unit normal n and the hit p satisfy n . q = n . p.  So a
-    ray d from the eye meets the face at t d, where 1 / t = d . n / (n . p).
-    """
-
-    curved_shapes: list[Shape]  # all shapes that have a curved face
-    scaled_normal: Shaped[Triple, "n"]  # n / (n . p); meaningless for curved faces
-    curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
-
-    @classmethod
-    def from_hits(cls, hits: Hits) -> _ExtendedFaces:
-        """Collect the face that each hit is on, in the order of the hits."""
-        scaled_normal = np.empty(hits.from_eye.shape)
-        curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
-        for group in hits.groups:
-            planes = group.planes
-            run_object = np.where(planes.face_axis == NO_AXIS, group.run_object, -1)
-            curved_object[group.interval] = group.repeat_runs(run_object)
-            # The height of the eye above the plane is -(n . p).
-            for axis, component in enumerate(planes.normal):
-                scaled_component = component / -planes.eye_height
-                scaled_normal[axis, group.interval] = group.expand_to_hits(scaled_component)
-        return cls(
-            curved_shapes=[shape for shape in hits.scene.shapes if shape.has_curved_face],
-            scaled_normal=(scaled_normal[0], scaled_normal[1], scaled_normal[2]),
-            curved_object=curved_object,
-        )
-
-    def take(self, face_index: Shaped[Ints, "m"]) -> _ExtendedFaces:
-        return self._replace(
-            scaled_normal=take(self.scaled_normal, face_index),
-            curved_object=self.curved_object[face_index],
-        )
-
-    def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
-        """Compute 1 / t of six rays for each face, where the point t * ray lies on the face.
-
-        If a ray misses a curved face, the result is a smooth continuation.
-        """
-        inverse_t = dot(self.scaled_normal, ray)
-        for shape in self.curved_shapes:
-            face_index = find(shape.objects.contains(self.curved_object))
-            if face_index.size:
-                inverse_t[:, face_index] = shape.compute_inverse_t(
-                    CURVED_FACE, self.curved_object[face_index], take_columns(ray, face_index)
-                )
-        return inverse_t
-
-
 class CellSurfaces(NamedTuple):
     """What is visible at the centers of cells, with at most one hit for each cell.
 
@@ -165,7 +115,7 @@ class CellSurfaces(NamedTuple):
     """
 
     hits: Hits
-    faces: _ExtendedFaces  # the faces that the hits are on
+    faces: ExtendedFaces  # the faces that the hits are on
     cell_index: Shaped[Ints, "hits"]
     footprint_radius: Shaped[Floats, "hits"]
     cell_width: float  # width of all cells, in pixels
@@ -177,7 +127,7 @@ class CellSurfaces(NamedTuple):
         """Collect the surfaces at the hits of cells, which are `cell_width` pixels wide."""
         return cls(
             hits=hits,
-            faces=_ExtendedFaces.from_hits(hits),
+            faces=ExtendedFaces.from_hits(hits),
             cell_index=cell_index,
             footprint_radius=_compute_footprint_radii(hits, cell_width),
             cell_width=cell_width,
@@ -193,7 +143,7 @@ class CellSurfaces(NamedTuple):
         max_gap = _compute_footprint_radii(hidden_hits, self.cell_width)
         max_gap += self.footprint_radius[visible_hit_index]
         is_close = hidden_hits.distance - self.hits.distance[visible_hit_index] <= max_gap
-        hidden_faces = _ExtendedFaces.from_hits(hidden_hits)
+        hidden_faces = ExtendedFaces.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
             hit_index = visible_hit_index[hidden_index]
             ray, inverse_t = self._trace_rays(hit_index)

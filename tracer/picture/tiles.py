@@ -27,15 +27,16 @@ from tracer.world.prepared_scene import PreparedScene
 # Maximum number of samples in a tile, to limit memory (`CACHE_SIZE` is a number of floats).
 _MAX_TILE_SAMPLES = 3 * CACHE_SIZE
 
-# Tiles of an adaptive picture may have this many times more pixels: few of these are divided, and
-# the arrays of their samples should be long, too.
+# Tiles of an adaptive picture may have this many times as many pixels.  Only few of the pixels are
+# sampled more than once, and the arrays of their samples should be long, too.
 _ADAPTIVE_FACTOR = 4
 
 # Maximum estimated seconds of a tile, so that progress is shown and workers are equally busy.
 _MAX_TILE_SECONDS = 0.2
 
-# Number of samples per pixel for which that maximum is halved: with more, few pixels take most of
-# the time, and some tiles exceed their estimates more.  No tile then took more than 0.3 s.
+# Number of samples per pixel for which `_MAX_TILE_SECONDS` is halved.  With more samples, few
+# pixels take most of the time, and some tiles exceed their estimates more.  No tile then took more
+# than 0.3 s.
 _HALVING_SAMPLES = 10_000
 
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
@@ -43,33 +44,6 @@ _TILES_PER_PROCESSOR = 4
 
 # Estimated seconds for a picture of any size: a small scene is read and prepared.
 _FIXED_SECONDS = 0.003
-
-# Estimated seconds for each sample, light, and object that the ray through the sample meets.
-# Pictures with 1 to 100 lights took 0.5 to 1.8 times as long as estimated; with 300, 0.1 times.
-_SECONDS_PER_SAMPLE = 4e-8
-
-# Stands for the estimate of a pixel in a scene without objects, which is 0.
-_MIN_SECONDS_PER_PIXEL = 1e-12
-
-# The next five constants estimate how many samples a pixel of an adaptive picture has, if n x n are
-# requested.  Thirty pictures took 0.25 to 2.2 times as long as estimated.
-
-# Number of samples in a pixel that no edge crosses.
-_ADAPTIVE_SAMPLES = 2.5
-
-# Each edge adds n + n^2 / `_SQUARE_DIVISOR` samples to a pixel that it crosses.
-_SQUARE_DIVISOR = 100
-
-# The mean number of edges in a pixel is `_EDGE_FACTOR` / sqrt(number of pixels in the picture) ...
-_EDGE_FACTOR = 330
-
-# ... plus this factor times the density of pairs of silhouettes.
-_PAIR_FACTOR = 400
-
-# Maximum number of samples that edges add to a pixel, divided by n^2: pixels with many edges are
-# sampled on a lattice instead.  Without this limit, 1,000 objects at 64 samples had more tiles and
-# took twice as long.
-_MAX_ADAPTIVE_FACTOR = 2
 
 
 class Rectangle(NamedTuple):
@@ -143,6 +117,14 @@ class Work(NamedTuple):
         return [Rectangle(*ranges) for ranges in product(row_ranges, column_ranges)]
 
 
+# Estimated seconds for each sample, light, and object that the ray through the sample meets.
+# Pictures with 1 to 100 lights took 0.5 to 1.8 times as long as estimated; with 300, 0.1 times.
+_SECONDS_PER_SAMPLE = 4e-8
+
+# Stands for the estimate of a pixel in a scene without objects, which is 0.
+_MIN_SECONDS_PER_PIXEL = 1e-12
+
+
 def estimate_work(
     scene: PreparedScene, rectangle: Rectangle, samples_per_side: int, lattice: Lattice | None
 ) -> Work:
@@ -171,8 +153,30 @@ def estimate_work(
     )
 
 
+# Number of samples in a pixel of an adaptive picture that no edge crosses.
+_ADAPTIVE_SAMPLES = 2.5
+
+# If n x n samples are requested, each edge adds n + n^2 / `_SQUARE_DIVISOR` samples to a pixel that
+# it crosses.
+_SQUARE_DIVISOR = 100
+
+# The mean number of edges in a pixel is `_EDGE_FACTOR` / sqrt(number of pixels in the picture) plus
+# `_PAIR_FACTOR` times the mean number of pairs of silhouettes that cross the same pixel.
+_EDGE_FACTOR = 330
+_PAIR_FACTOR = 400
+
+# Maximum number of samples that edges add to a pixel, divided by n^2: pixels with many edges are
+# sampled on a lattice instead.  Without this limit, 1,000 objects at 64 samples had more tiles and
+# took twice as long.
+_MAX_ADAPTIVE_FACTOR = 2
+
+
 def _estimate_adaptive_samples(scene: PreparedScene, samples_per_side: int) -> float:
-    """Estimate the mean number of samples in a pixel of an adaptive picture."""
+    """Estimate the mean number of samples in a pixel of an adaptive picture.
+
+    `samples_per_side` is the number n, if n x n samples are requested.  Thirty pictures took 0.25
+    to 2.2 times as long as follows from the estimate.
+    """
     pixel_count = scene.frame.width * scene.frame.height
     silhouette_pairs = scene.bounds.estimate_silhouette_pairs(scene.frame)
     edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_pairs

@@ -435,17 +435,13 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def _find_array_errors(self) -> Iterator[str]:
         """Yield a message for each array that has the wrong length or contains invalid indices."""
-        # The name of an array, the array, its required length, and the reason for this length.
-        requirements: list[tuple[str, NDArray[Any], int, str]] = []
         for columns in self.tables.values():
             (first_name, first_column), *others = columns.items()
-            reason = f"the length of {first_name}"
-            requirements += [(name, column, len(first_column), reason) for name, column in others]
+            for name, column in others:
+                reason = f"the length of {first_name}"
+                yield from _check_length(name, column, len(first_column), reason)
         for name in ("shader_index", "file_index", "line"):
-            requirements += [(name, getattr(self, name), len(self), "the number of surfaces")]
-        for name, array, required_length, reason in requirements:
-            if len(array) != required_length:
-                yield f"{name}: must have length {required_length} ({reason}), not {len(array)}"
+            yield from _check_length(name, getattr(self, name), len(self), "the number of surfaces")
         shader_count = len(self.shaders)
         is_invalid = (self.shader_index < 0) | (self.shader_index >= shader_count)
         for invalid_index in self.shader_index[is_invalid].tolist()[:1]:
@@ -592,6 +588,14 @@ def _copy_columns(kind: Kind, columns: Mapping[str, ArrayLike]) -> dict[str, Flo
     """
     validators = schema.get_number_validators(kind)
     return {name: each.copy_rows(columns[name], name) for name, each in validators.items()}
+
+
+def _check_length(
+    name: str, array: NDArray[Any], required_length: int, reason: str
+) -> Iterator[str]:
+    """Yield a message if an array does not have the required length; `reason` says why it must."""
+    if len(array) != required_length:
+        yield f"{name}: must have length {required_length} ({reason}), not {len(array)}"
 
 
 def _protect(array: NDArray[Any]) -> NDArray[Any]:
