@@ -1,6 +1,7 @@
 """Pictures shared with an executor are the same, whatever the workers do."""
 
 import asyncio
+import concurrent.futures
 import multiprocessing
 import random
 import sys
@@ -178,7 +179,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
     executor.failure_rate = 1
     for owner, name in (
         (render_job, "compute_radiance"),
-        (parallel, "_wait_for_any"),
+        (concurrent.futures, "wait"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)

@@ -175,7 +175,10 @@ class Distribution(Generic[_Item, _Result]):
             for task in tasks:
                 while not task.results:
                     self.submit_items()
-                    self._process_next_task(tasks.keys())
+                    if self._waiting and self._waiting[0] in tasks:
+                        self._process_task(self._waiting.popleft())
+                    else:
+                        self._help_workers(tasks.keys())
                     self._collect_results(tasks.keys())
                 result = task.results[0]
                 task.results = ()  # results may be large, and the tasks live until the end
@@ -203,32 +206,26 @@ class Distribution(Generic[_Item, _Result]):
         except Exception:  # for example because workers have died several times
             self.executor = None
 
-    def _process_next_task(self, tasks: _Tasks) -> None:
-        """Process the first item that nobody has taken; if there is none, help the workers."""
-        if self._waiting and self._waiting[0] in tasks:
-            self._process_task(self._waiting.popleft())
-        else:
-            self._help_workers(tasks)
-
     def _help_workers(self, tasks: _Tasks) -> None:
         """Process an item that the workers have not finished, or wait until one is done.
 
-        Choose the item that was submitted last, because the workers have most probably not begun
-        it.  If no worker has, process it here instead.  If a worker has begun it, wait until any
-        item is done, but at most for as long as this process took for its own slowest item.  If
-        none is done then, process the chosen item here as well, because the worker may never
-        answer.
+        The item is the one that was submitted last, because the workers have most probably not
+        begun it.  If no worker has, process it here instead.  Otherwise, wait until any item is
+        done, but at most for as long as this process took for its own slowest item.  If none is
+        done then, process the item here as well, because the worker may never answer.
         """
         futures = {task: future for task, future in self._futures.items() if task in tasks}
         if not futures:
             return
+        from concurrent.futures import FIRST_COMPLETED, wait
+
         last_task = [*futures][-1]
         is_begun = not futures[last_task].cancel()
         if is_begun:
             # A thread cannot be killed, so it returns a result or raises an exception in the end.
             may_never_answer = not isinstance(self.executor, Threads)
             max_seconds = max(task.seconds for task in tasks) if may_never_answer else None
-            if _wait_for_any(futures.values(), max_seconds):
+            if wait(futures.values(), max_seconds, return_when=FIRST_COMPLETED).done:
                 return  # `_collect_results` stores the result, or repeats the item if it failed
         del self._futures[last_task]
         self._process_task(last_task)
@@ -260,16 +257,6 @@ class Distribution(Generic[_Item, _Result]):
         self._waiting = deque(task for task in self._waiting if task not in tasks)
         for task in [task for task in self._futures if task in tasks]:
             self._futures.pop(task).cancel()
-
-
-def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float | None) -> bool:
-    """Wait until any future is done, and return True; return False if none is done in time.
-
-    If `max_seconds` is None, there is no limit of time.
-    """
-    from concurrent.futures import FIRST_COMPLETED, wait
-
-    return bool(wait(futures, max_seconds, return_when=FIRST_COMPLETED).done)
 
 
 class Threads:
