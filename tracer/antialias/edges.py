@@ -59,7 +59,7 @@ from tracer.world.prepared_scene import PreparedScene
 
 
 def find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield the silhouettes of objects, seen from the eye, that may cross cells."""
+    """Yield the silhouettes, seen from the eye, of the objects that `cells` pairs with cells."""
     frame = scene.frame
     for batch in split_indices(np.arange(cells.pair_cell_index.size)):
         cell_index = cells.pair_cell_index[batch]

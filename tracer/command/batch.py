@@ -5,10 +5,11 @@ renders them and writes the pictures, so processes exchange only names and lines
 best for many scenes.  (2) All share the tiles of one picture.  This is best for a single large
 picture.
 
-A batch combines both.  It has one list of *items* (see `Distribution`), which are scenes and tiles.
-A worker declines a scene that is large, or that is one of the last and not small.  The main thread
-of the command, which works, too, then reads the scene, puts the tiles of the picture in front of
-the other items, and writes the picture.
+A batch combines both.  It has one list of *items* (see `Distribution`): first the scenes, later
+also tiles.  The workers and the main thread of the command take items from it.  If a worker takes a
+scene that is large, or that is one of the last and not small, it declines the scene.  Then the main
+thread reads the scene, puts the tiles of its picture in front of the other items, and writes the
+picture from what it and the workers render.
 
 Workers are processes, or threads where Python has no global interpreter lock.  They are started
 only if the remaining work takes longer than starting them.
@@ -72,8 +73,8 @@ class Job(NamedTuple):
 
     scene_path: str  # "-" is standard input
     output_path: str  # "-" is standard output
-    # All workers share the picture if it takes at least this many seconds, by estimate.  Chosen by
-    # `_Run`.
+    # All workers share the picture if it takes at least this many seconds, by estimate.  `_Run`
+    # chooses the number.
     min_shared_seconds: float = 0.0
 
 
@@ -89,7 +90,7 @@ class _Tile(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The lines to print about a scene whose picture was written or could not be written."""
+    """The lines to print about a scene when its picture has been written, or could not be."""
 
     pixel_count: int = 0  # 0 if the picture could not be written
     line: str = ""  # line about the picture; empty if it was not written or the command is quiet
@@ -152,8 +153,8 @@ class _Run:
         self._progress = progress
         self._finished_count = 0  # number of finished scenes
         self._pixel_count = 0  # number of pixels in the pictures of the finished scenes
-        # If a worker declines a scene or fails, for example because it lacks memory, this thread
-        # renders the scene.
+        # A worker that declines a scene returns None, which is not valid, so this thread processes
+        # the scene.  It also does so if a worker fails, for example because it lacks memory.
         self._distribution = Distribution[Job | _Tile, Any](
             function=self._process,
             remote_function=partial(_process_in_worker, self._settings),
@@ -170,7 +171,7 @@ class _Run:
             yield report
 
     def _list_items(self) -> Iterator[Job]:
-        """List the scenes, each with the minimum time of a picture that all workers share."""
+        """Yield the scenes, each with the minimum time for which all workers share its picture."""
         # At the end, too few scenes are left to occupy all workers, so they share even small ones.
         last_count = len(self._jobs) % (self._pool.worker_count + 1)
         for index, job in enumerate(self._jobs):
@@ -179,7 +180,7 @@ class _Run:
             yield job._replace(min_shared_seconds=min_seconds)
 
     def _process(self, item: Job | _Tile) -> Report | EncodedTile:
-        """Process an item in the main thread."""
+        """Render a tile, or a scene of which a failure is reported, in the main thread."""
         if isinstance(item, _Tile):
             return item.render()
         start_time = perf_counter()
@@ -192,7 +193,10 @@ class _Run:
             return Report(notices=(str(failure),))
 
     def _start_workers_if_worthwhile(self, render_job: RenderJob) -> None:
-        """Let workers take items if the remaining scenes take long, `render_job` included."""
+        """Submit items to the workers, and start them first if the remaining scenes take long.
+
+        `render_job` is the first of the remaining scenes.
+        """
         # The other scenes presumably take about as long as this one.
         seconds = render_job.work.seconds * (len(self._jobs) - self._finished_count)
         if seconds >= self._pool.sharing.min_seconds and self._distribution.executor is None:
@@ -201,7 +205,7 @@ class _Run:
         self._distribution.submit_items()
 
     def _render_tiles(self, job: Job, render_job: RenderJob) -> Generator[EncodedTile]:
-        """Yield all tiles of a picture, which the workers share if it is large.
+        """Yield all tiles of a picture in order; if it is large, the workers share them.
 
         After each tile, show the progress, and keep the workers busy.
         """
@@ -239,9 +243,9 @@ def _init_worker(part_prefix: str) -> None:
 
 
 def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | EncodedTile | None:
-    """Process an item in a worker, or return None if the main thread should process it.
+    """Render a tile or a scene in a worker, or return None if the main thread should do this.
 
-    Raise Failure if this fails.
+    Raise Failure if the scene cannot be read or rendered, or its picture cannot be written.
     """
     if isinstance(item, _Tile):
         return item.render()
@@ -256,11 +260,7 @@ def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | Encode
 
 
 def _make_render_job(job: Job, settings: Settings) -> RenderJob:
-    """Read a scene, and prepare its picture.
-
-    Raise Failure for everything that a user can get wrong.  So whatever raises ValueError later is
-    a bug.
-    """
+    """Read a scene, and prepare its picture; raise Failure for all that a user can get wrong."""
     scene = read_scene(job.scene_path, settings.size)
     with errors_as_failure(
         job.scene_path, "rendered", memory_remedy=_SHRINK, error_types=(ValueError,)
@@ -278,6 +278,7 @@ def _write_picture(
     """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
     file_format = FORMATS[settings.file_format]
     with (
+        # What users can get wrong was checked before, so a ValueError is a bug.
         errors_as_failure(job.scene_path, "rendered", _BUG, error_types=(ValueError,)),
         errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
         _open_output(job.output_path, file_format.magic) as file,
@@ -297,7 +298,10 @@ def _open_output(path: str, magic: bytes) -> AbstractContextManager[IO[bytes]]:
 
 
 def _make_report(job: Job, render_job: RenderJob, exposure: Exposure, *, seconds: float) -> Report:
-    """Report a picture that was written in the given time, with warnings about its scene."""
+    """Report a picture that was written, with warnings about its scene.
+
+    `exposure` counts its pixels, and `seconds` is the time from reading the scene to the end.
+    """
     size = f"{render_job.rectangle.width} x {render_job.rectangle.height}"
     line = f"{job.output_path}: {size} pixels in {seconds:.3f} s"
     whole_exposure = exposure if render_job.is_whole else None

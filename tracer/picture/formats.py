@@ -24,7 +24,10 @@ from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
 
 
 class TileEncoder(Protocol):
-    """Converts the radiance of a tile to data for a file: for example `compress_tile`."""
+    """A function that converts the radiance of a tile to data for a file, as `compress_tile` does.
+
+    A tile is several whole rows of the picture, or a piece of one row.
+    """
 
     def __call__(
         self, radiance: Shaped[Floats, "rows columns 3"], /, *, is_leftmost: bool = True
@@ -44,13 +47,18 @@ class Format(NamedTuple):
 
     magic: bytes  # the first bytes of a file
     encode: TileEncoder
-    # Writes a file from its width, its height and the results of `encode` for all tiles.
+    # Writes a file from its width, its height and the results of `encode` for all tiles.  Raises
+    # ValueError if they do not make up the picture, and OSError if the file cannot be written.
     write: Callable[[IO[bytes], int, int, Iterable[Any]], None]
 
     def write_picture(
         self, file: IO[bytes], width: int, height: int, tiles: Iterable[EncodedTile]
     ) -> Exposure:
-        """Write a picture, whose tiles may be rendered meanwhile, and return its exposure."""
+        """Write a picture, and return its exposure; raise what `write` raises.
+
+        The tiles are ordered from top to bottom and from left to right.  They are requested one by
+        one, so the iterator may render them meanwhile.
+        """
         exposure = Exposure()
 
         def list_data() -> Iterator[Any]:

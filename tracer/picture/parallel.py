@@ -1,9 +1,9 @@
 """Share work between this process and workers.
 
-The work is a list of *items*.  This process and the workers take items from the front of the list.
-Workers may fail: they are killed, stop, run out of memory, or never answer.  This process therefore
-repeats whatever the workers have not finished, which is possible because an item has the same
-result whoever processes it.  So a worker that fails costs time, but no result.
+The work is a list of *items*, each of which has the same result whoever processes it.  Workers may
+fail: they are killed, stop, run out of memory, or never answer.  This process therefore repeats
+whatever the workers have not finished (see `Distribution`).  So a worker that fails costs time, but
+no result.
 
 Workers are usually processes.  Threads would often wait for each other, because only one at a time
 may run Python code between two operations on arrays: the one that holds Python's global interpreter
@@ -90,10 +90,10 @@ def choose_thread_count(max_threads: SupportsIndex | None) -> int:
 
 
 class Sharing(NamedTuple):
-    """What is worth sharing with workers of one kind, in estimated seconds."""
+    """The least work that is worth sharing with workers of one kind, in estimated seconds."""
 
-    min_seconds: float  # minimum for a picture, or for all pictures of a command
-    min_tile_seconds: float  # minimum for a tile: in smaller ones, the overhead is significant
+    min_seconds: float  # for a picture, or for all pictures of a command
+    min_tile_seconds: float  # for a tile: in smaller ones, the overhead is significant
 
 
 class Executor(Protocol):
@@ -109,7 +109,7 @@ class Executor(Protocol):
 
 @dataclass(eq=False)
 class _Task(Generic[_Item, _Result]):
-    """An item and what is known about it; compared by identity, so equal items are told apart."""
+    """An item and what is known about it; tasks with equal items are still different tasks."""
 
     item: _Item
     # The result, from the time when it is known until it is yielded.  The tuple tells a result of
@@ -121,8 +121,9 @@ class _Task(Generic[_Item, _Result]):
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and the workers of an executor process together.
 
-    While this process is busy with a large item, it can divide the item into smaller ones: a nested
-    call of `process` puts these in front of all other items.
+    Both take items from the front of the list.  When none is left to take, this process repeats
+    those that the workers have not finished.  While this process is busy with a large item, it can
+    divide the item into smaller ones: a nested call of `process` puts these in front of all others.
 
     Parameters
     ----------
