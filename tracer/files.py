@@ -86,16 +86,25 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         os.replace(part_path, target_path)
     except BaseException as error:
         if isinstance(error, OSError) and error.filename == part_path:
-            error.filename = target_path
-            if isinstance(error, FileNotFoundError) and not os.path.lexists(folder):
-                # Name the folder as the caller does, unless `path` is a link to another folder.
-                given_folder = "" if os.path.islink(path) else os.path.dirname(path)
-                error.strerror = f"the folder {given_folder or folder} does not exist"
+            _name_target(error, path, target_path)
         with suppress(OSError):
             os.unlink(part_path)
         raise
     finally:
         part_files.discard(part_path)
+
+
+def _name_target(error: OSError, path: str | os.PathLike[str], target_path: str) -> None:
+    """Change an error about a part file so that it is about the target, or its missing folder.
+
+    `path` is the target as the caller named it, and `target_path` has no symbolic links.
+    """
+    error.filename = target_path
+    folder = os.path.dirname(target_path)
+    if isinstance(error, FileNotFoundError) and not os.path.lexists(folder):
+        # Name the folder as the caller does, unless `path` is a link to another folder.
+        given_folder = "" if os.path.islink(path) else os.path.dirname(path)
+        error.strerror = f"the folder {given_folder or folder} does not exist"
 
 
 def _check_old_file(path: str, magic: bytes) -> int | None:

@@ -113,10 +113,6 @@ class _Reader(ErrorCollector):
 
     `read` collects the elements of the file in tables, and all errors in `errors`.  If there are no
     errors, `make_scene` then creates the scene.
-
-    All shaders of the file are numbered together, in the order in which the reader meets them: a
-    named shader at its definition or at the first reference to it, whichever comes first.  Shader 0
-    is the default, white.
     """
 
     # The root, the first <camera> and the first <image>, as far as they have been read, by their
@@ -132,10 +128,7 @@ class _Reader(ErrorCollector):
     shader_tables: dict[str, ShaderTable]
     surface_tables: dict[str, SurfaceTable]
     surface_counter: Iterator[int]  # yields the index of the next surface
-    index_of_name: dict[str, int]  # the shader index of each shader name
-    # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0
-    # counts as defined on line 1.
-    definition_lines: array[int]
+    shaders: _ShaderIndices
 
     def __init__(self) -> None:
         super().__init__()
@@ -144,12 +137,11 @@ class _Reader(ErrorCollector):
         self.empty_scene = Scene(width=1, height=1)
         self.cameras = Table(model.Camera)
         self.lights = Table(model.PointLight)
-        shaders = model.Lambertian, model.Phong
-        self.shader_tables = {cls.__name__: ShaderTable(cls) for cls in shaders}
+        shader_classes = model.Lambertian, model.Phong
+        self.shader_tables = {cls.__name__: ShaderTable(cls) for cls in shader_classes}
         self.surface_tables = {cls.__name__: SurfaceTable(cls) for cls in (model.Sphere, model.Box)}
         self.surface_counter = count()
-        self.index_of_name = {}
-        self.definition_lines = array("i", [1])
+        self.shaders = _ShaderIndices()
 
     def read(self, file: IO[bytes]) -> None:
         """Read a whole scene file into the tables, and add the errors that it contains to `errors`.
@@ -251,12 +243,13 @@ class _Reader(ErrorCollector):
         """
         table = self.shader_tables.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        index = self.find_or_add_shader(name)
-        if name is not None and self.definition_lines[index]:
-            owner = f"the shader on line {self.definition_lines[index]}"
+        index = self.shaders.find_or_add(name)
+        definition_lines = self.shaders.definition_lines
+        if name is not None and definition_lines[index]:
+            owner = f"the shader on line {definition_lines[index]}"
             self.report(element, f"the name {quote(name)} is taken by {owner}; choose another")
         else:
-            self.definition_lines[index] = element.line
+            definition_lines[index] = element.line
         if table is None:
             self.report_invalid_type(element, self.shader_tables, "name")
         else:
@@ -280,19 +273,7 @@ class _Reader(ErrorCollector):
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
-        return self.find_or_add_shader(name)
-
-    def find_or_add_shader(self, name: str | None) -> int:
-        """Return the index of the shader with a name, or a new index.
-
-        If the name has not occurred yet, or is None because the shader has no name, the next free
-        index is assigned to the shader.
-        """
-        new_index = len(self.definition_lines)
-        index = new_index if name is None else self.index_of_name.setdefault(name, new_index)
-        if index == new_index:
-            self.definition_lines.append(0)
-        return index
+        return self.shaders.find_or_add(name)
 
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
         """Read a camera, a light, a shader or a surface into a new row of a table.
@@ -386,40 +367,17 @@ class _Reader(ErrorCollector):
 
     def report_undefined_shaders(self) -> None:
         """Report each reference to a shader that is defined nowhere in the file."""
-        if 0 not in self.definition_lines:
+        message_of_index = self.shaders.explain_undefined()
+        if not message_of_index:
             return
-        remedy_of_name = self.suggest_shader_fixes()
-        name_of_index = {index: name for name, index in self.index_of_name.items()}
         for table in self.surface_tables.values():
             for reference_line, index in zip(table.shader_lines, table.shader_indices, strict=True):
-                if self.definition_lines[index] == 0:
-                    name = name_of_index[index]
-                    message = f"no shader is named {quote(name)}; {remedy_of_name[name]}"
-                    self.report_at(reference_line, "shader", message)
-
-    def suggest_shader_fixes(self) -> dict[str, str]:
-        """Return, by its name, a suggested fix for the references to each undefined shader."""
-        definition_lines = {
-            name: self.definition_lines[index] for name, index in self.index_of_name.items()
-        }
-        defined = {name: line for name, line in definition_lines.items() if line}
-        line_of_normal_form = {normalize("NFC", name): line for name, line in defined.items()}
-        remedies: dict[str, str] = {}
-        for name in definition_lines:
-            if name in defined:
-                continue
-            lookalike_line = line_of_normal_form.get(normalize("NFC", name))
-            if lookalike_line is not None:
-                remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
-            elif defined and len(remedies) < _MAX_SEARCHES:
-                remedies[name] = suggest_name(name, defined).remedy
-            else:
-                remedies[name] = "define it"
-        return remedies
+                if index in message_of_index:
+                    self.report_at(reference_line, "shader", message_of_index[index])
 
     def make_scene(self) -> Scene:
         """Create the scene from the tables.  The whole file must have been read without errors."""
-        shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
+        shaders: list[model.Shader] = [model.Lambertian()] * len(self.shaders.definition_lines)
         for table in self.shader_tables.values():
             for index, shader in zip(table.indices, table.make_objects(), strict=True):
                 shaders[index] = shader
@@ -434,3 +392,59 @@ class _Reader(ErrorCollector):
         (camera,) = self.cameras.make_objects()
         lights = tuple(self.lights.make_objects())
         return replace(self.empty_scene, camera=camera, lights=lights, surfaces=surfaces)
+
+
+class _ShaderIndices:
+    """The indices, names and lines of all shaders of a file.
+
+    Shaders are numbered in the order in which the reader meets them: a named shader at its
+    definition or at the first reference to it, whichever comes first.  Shader 0 is the default,
+    white.
+    """
+
+    index_of_name: dict[str, int]
+    # For each shader, the line of its definition, or 0 if that has not been read yet.  Shader 0
+    # counts as defined on line 1.
+    definition_lines: array[int]
+
+    def __init__(self) -> None:
+        self.index_of_name = {}
+        self.definition_lines = array("i", [1])
+
+    def find_or_add(self, name: str | None) -> int:
+        """Return the index of the shader with this name.
+
+        If the name has not occurred yet, or is None because the shader has no name, add a shader
+        that is not defined yet.
+        """
+        new_index = len(self.definition_lines)
+        index = new_index if name is None else self.index_of_name.setdefault(name, new_index)
+        if index == new_index:
+            self.definition_lines.append(0)
+        return index
+
+    def explain_undefined(self) -> dict[int, str]:
+        """Return an error message, with a suggested fix, for each shader without a definition.
+
+        The keys are the indices of these shaders.
+        """
+        if 0 not in self.definition_lines:
+            return {}
+        line_of_name = {
+            name: self.definition_lines[index]
+            for name, index in self.index_of_name.items()
+            if self.definition_lines[index]
+        }
+        line_of_normal_form = {normalize("NFC", name): line for name, line in line_of_name.items()}
+        message_of_index: dict[int, str] = {}
+        for name, index in self.index_of_name.items():
+            if name in line_of_name:
+                continue
+            remedy = "define it"
+            lookalike_line = line_of_normal_form.get(normalize("NFC", name))
+            if lookalike_line is not None:
+                remedy = _LOOKALIKE_REMEDY.format(lookalike_line)
+            elif line_of_name and len(message_of_index) < _MAX_SEARCHES:
+                remedy = suggest_name(name, line_of_name).remedy
+            message_of_index[index] = f"no shader is named {quote(name)}; {remedy}"
+        return message_of_index
