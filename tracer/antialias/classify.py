@@ -86,6 +86,7 @@ def classify_cells(
         lit_surfaces = _LitSurfaces.from_lights(surfaces, lights)
         shading.add(lit_surfaces.geometry, lit_surfaces.is_lit)
         found.append(lit_surfaces.find_edges(cells.tolerance))
+        del lit_surfaces  # before the arrays of the next lights take memory, too
     lines = Lines.concatenate([each.lines for each in found]).sort_and_deduplicate()
     cell_count = sample_cell_index.size
     is_crowded = _mark_cells(cell_count, [each.crowded_index for each in found])

@@ -77,6 +77,7 @@ def place_weighted_points(
         weight=region_weights.evaluate(position, region_index),
         region_index=region_index,
     )
+    # Add the centroids of triangles in regions that the points do not represent.
     added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
     added_points = WeightedPoints._make(field[added_index] for field in centroids)
     return WeightedPoints._make(map(np.append, placed_points, added_points))
