@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from running import start_process, write_ball
 
-from tracer.command import cli
+from tracer.command import cli, watch
 from tracer.command.batch import Job
 
 
@@ -91,7 +91,7 @@ def test_watch_sees_a_save_that_changes_only_the_content(scene, monkeypatch):
     steps = [dict, partial(save, texts[1]), dict, partial(save, texts[2]), dict, dict]
     later_steps = [partial(save, texts[3], 20), dict, scene.unlink, sys.exit]
     following = iter([*steps, *later_steps])
-    monkeypatch.setattr(cli, "monotonic", lambda: next(times))
+    monkeypatch.setattr(watch, "monotonic", lambda: next(times))
     monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
 
     def read_or_skip(_batch: object, jobs: list[Job]) -> None:

@@ -23,14 +23,11 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import stat
 import sys
-import zlib
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import closing
 from importlib import import_module
-from time import monotonic, sleep
+from time import sleep
 
 from tracer.command.arguments import (
     CommandParser,
@@ -46,7 +43,6 @@ from tracer.command.process import FAILED, attempt, print_line, print_or_raise
 from tracer.messages import make_printable
 from tracer.picture.formats import FORMATS
 from tracer.picture.parallel import count_processors
-from tracer.scene.elements import MAX_BYTES
 from tracer.version import __version__
 
 _HELP = {
@@ -68,10 +64,6 @@ _HELP = {
 
 # Seconds between two checks of the scene files, with --watch.
 _POLL_SECONDS = 0.1
-
-# Seconds after a save in which another save may leave the same time in the file, so that only its
-# content shows it.  The coarsest times are those of FAT, 2 seconds; the rest is a margin.
-_TIME_RESOLUTION_SECONDS = 3.0
 
 
 class _Arguments(argparse.Namespace):
@@ -300,60 +292,17 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     Return the exit status 0 when nobody reads standard output any more.  If `quiet`, nothing is
     printed there, and this never returns.
     """
+    from tracer.command.watch import WatchedFile  # only now, because it is seldom needed
+
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scenes_text}; press Ctrl-C to end")
-    old_versions = {job: _read_version(job.scene_path, None) for job in jobs}
-    rendered_versions = dict[Job, _FileVersion]()
+    watched_files = [WatchedFile(job.scene_path) for job in jobs]
     while quiet or not (sys.stdout is None or sys.stdout.closed):
-        versions = {job: _read_version(job.scene_path, old_versions[job]) for job in jobs}
-        # An editor may write a file in pieces, so wait until it stops changing.
-        stable_versions = {
-            job: version for job, version in versions.items() if version == old_versions[job]
-        }
         changed_jobs = [
-            job for job, version in stable_versions.items() if version != rendered_versions.get(job)
+            job for job, file in zip(jobs, watched_files, strict=True) if file.has_new_version()
         ]
-        old_versions = versions
-        rendered_versions |= stable_versions
         if changed_jobs:
             batch.render(changed_jobs)
         sleep(_POLL_SECONDS)
     return 0
-
-
-@dataclass(frozen=True)
-class _FileVersion:
-    """A version of a scene file.  Versions are equal if the file was not saved between them."""
-
-    # Modification time, size and inode number; None if the file cannot be accessed.
-    status: tuple[int, int, int] | None
-    checksum: int  # checksum of the content
-    first_seen: float = field(compare=False)  # when the status was first seen, by `monotonic`
-    # Whether the status is so old that every later save will change it.
-    is_settled: bool = field(compare=False)
-
-
-def _read_version(path: str, previous: _FileVersion | None) -> _FileVersion:
-    """Read the version of a file.
-
-    `previous` is the version that was read before, or None.  It is returned, without reading the
-    file again, if it is settled and the status of the file is still the same.
-    """
-    now = monotonic()
-    status = None
-    is_readable = False
-    with suppress(OSError):
-        result = os.stat(path)
-        status = result.st_mtime_ns, result.st_size, result.st_ino
-        is_readable = stat.S_ISREG(result.st_mode) and result.st_size <= MAX_BYTES
-    if previous is None or previous.status != status:
-        previous = _FileVersion(status=status, checksum=0, first_seen=now, is_settled=False)
-    elif previous.is_settled:
-        return previous
-    checksum = 0
-    if is_readable:
-        with suppress(OSError), open(path, "rb") as file:
-            checksum = zlib.crc32(file.read())
-    is_settled = now - previous.first_seen > _TIME_RESOLUTION_SECONDS
-    return replace(previous, checksum=checksum, is_settled=is_settled)
