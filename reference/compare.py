@@ -34,20 +34,14 @@ from threading import Event
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
-import numpy as np
-
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import Differences, compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page, render_student_pages
 from reference.handins.diagnosis import (
     AGREEING_KINDS,
     IDENTICAL,
-    UNKNOWN,
-    WRONG_SIZE,
-    Diagnosis,
     Reference,
     find_worst_pixel,
-    make_verdict,
 )
 from reference.handins.folders import HandIn, list_hand_ins, list_references, match_hand_ins
 from reference.handins.results import (
@@ -60,7 +54,7 @@ from reference.handins.results import (
 )
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
-from reference.pictures import Codes, Picture, read_picture
+from reference.pictures import Codes, read_picture
 from tracer import load_scene
 from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
@@ -70,8 +64,6 @@ from tracer.messages import make_printable
 
 # Time between updates of the progress bar of a single comparison.
 _REFRESH_SECONDS = 0.5
-# Keyword of the diagnosis of a picture that shows another scene of the folder.
-_OTHER_SCENE = "other-scene"
 # The error of a hand-in whose worker process has died.
 _WORKER_DIED = "cannot be compared: its process was ended; is there enough memory?"
 
@@ -308,15 +300,17 @@ def _write_pages(options: Options, results: Sequence[Result], pairs: dict[str, P
 
 
 @lru_cache(maxsize=1)
-def _load_reference(path: Path) -> Reference:
+def _load_reference(path: Path, folder: Path | None) -> Reference:
     """Load a picture or a scene file; the most recent one is cached.
 
-    Raise Failure if the file cannot be read, or is not a valid scene.
+    If a folder is given, its other scenes and pictures are recognised in hand-ins.  Raise Failure
+    if the file cannot be read, or is not a valid scene.
     """
+    load_other_codes = partial(_load_all_codes, folder) if folder else dict
     if path.suffix.lower() != ".xml":
-        return Reference(read_picture(path))
+        return Reference(read_picture(path), load_other_codes=load_other_codes)
     with errors_as_failure(path, "read"):
-        return Reference(load_scene(path), shlex.quote(str(path)))
+        return Reference(load_scene(path), shlex.quote(str(path)), load_other_codes)
 
 
 @lru_cache(maxsize=1)
@@ -328,7 +322,7 @@ def _load_all_codes(folder: Path) -> dict[str, Shaped[Codes, "height width 3"]]:
     all_codes = {}
     for path in list_references(folder).values():
         with suppress(Failure):
-            all_codes[path.name] = _load_reference.__wrapped__(path).codes
+            all_codes[path.name] = _load_reference.__wrapped__(path, None).codes
     return all_codes
 
 
@@ -364,8 +358,9 @@ def _compare_files(
     pictures that do not agree.  Raise Failure if a file cannot be read or written.
     """
     picture = read_picture(picture_path)
-    reference = _load_reference(reference_path)
-    diagnosis = _diagnose(options, picture, reference)
+    folder = options.reference if options.reference.is_dir() else None
+    reference = _load_reference(reference_path, folder)
+    diagnosis = reference.diagnose(picture)
     if diagnosis.kind != IDENTICAL:
         notes = {"It": picture.note, reference_path.name: reference.picture.note}
         sentences = [f"{subject} {note}" for subject, note in notes.items() if note]
@@ -383,19 +378,6 @@ def _compare_files(
     has_page = options.html is not None
     pair = make_pair(result, picture.codes, reference.codes, difference) if has_page else None
     return Compared(result=result, pair=pair)
-
-
-def _diagnose(options: Options, picture: Picture, reference: Reference) -> Diagnosis:
-    """Find the mistakes in a picture.
-
-    If none explains it, and the references are a folder, find out if it shows another scene.
-    """
-    diagnosis = reference.diagnose(picture)
-    if diagnosis.kind in (WRONG_SIZE, UNKNOWN) and options.reference.is_dir():
-        for name, codes in _load_all_codes(options.reference).items():
-            if np.array_equal(codes, picture.codes):
-                return make_verdict(_OTHER_SCENE, f"It is the picture of {name}.")
-    return diagnosis
 
 
 def _add_metrics(

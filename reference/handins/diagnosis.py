@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated as Shaped
@@ -32,8 +32,6 @@ IDENTICAL = "identical"
 """Keyword of the diagnosis of a picture whose codes all equal those of the reference picture."""
 AGREEING_KINDS = (IDENTICAL, "rounding", "format")
 """Keywords of the diagnoses of right pictures."""
-WRONG_SIZE = "size"
-"""Keyword of the mistake that a picture has the wrong width or height."""
 UNKNOWN = "unknown"
 """Keyword of the diagnosis of a picture that no known mistake explains."""
 # Maximum number of surfaces, and of alternative causes, to name in a report.
@@ -118,7 +116,14 @@ def make_verdict(keyword: str, sentence: str) -> Diagnosis:
 class Reference:
     """A scene or a reference picture to compare students' pictures with.
 
-    `name` is the scene's file name as typed on a command line; it appears in reports.
+    Parameters
+    ----------
+    source
+        The scene, or the reference picture if there is no scene.
+    name
+        The scene's file name as typed on a command line; it appears in reports.
+    load_other_codes
+        Returns pictures of other scenes, by file name, with which a student may have mixed it up.
     """
 
     name: str
@@ -126,8 +131,14 @@ class Reference:
     picture: Picture
     codes: Shaped[Codes, "h w 3"]
 
-    def __init__(self, source: Scene | Picture, name: str = "") -> None:
+    def __init__(
+        self,
+        source: Scene | Picture,
+        name: str = "",
+        load_other_codes: Callable[[], Mapping[str, Codes]] = dict,
+    ) -> None:
         self.name, self.scene = name, source if isinstance(source, Scene) else None
+        self._load_other_codes = load_other_codes
         self.picture = Picture(_render_codes(source)) if isinstance(source, Scene) else source
         self.codes = self.picture.codes
         # Cache only two renderers: those for all picture sizes in a class would fill the memory.
@@ -170,6 +181,8 @@ class Reference:
             diagnosis := self._diagnose_turned(picture)
         ):
             return diagnosis.prepend_text(sentence)
+        if diagnosis := self._diagnose_other_scene(picture):
+            return diagnosis
         if not self.scene:
             return make_verdict("size", sentence)
         return self._diagnose_pixels(picture).add_mistake("size", sentence)
@@ -195,6 +208,13 @@ class Reference:
         mistakes = self._get_renderer(*self.codes.shape[:2]).mistakes
         return diagnosis.add_mistake(keyword, mistakes[keyword].sentence)
 
+    def _diagnose_other_scene(self, picture: Picture) -> Diagnosis | None:
+        """Diagnose a submitted picture that shows another scene; None if it shows none."""
+        for name, codes in self._load_other_codes().items():
+            if np.array_equal(codes, picture.codes):
+                return make_verdict("other-scene", f"It is the picture of {name}.")
+        return None
+
     def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
         """Diagnose a submitted picture by comparing it with a reference picture of the same size.
 
@@ -211,18 +231,24 @@ class Reference:
         if format_noise and submission.is_wrong.mean() < 0.01:
             return make_verdict("format", "It is the right picture.")
         black_surfaces = symptoms.find_black_surfaces(submission) if self.scene else []
+        # Symptoms come before pairs of mistakes, whose search takes seconds.
+        if not submission.good_singles:
+            if diagnosis := self._diagnose_other_scene(picture):
+                return diagnosis
+            if self.scene and black_surfaces:
+                return _describe_black_surfaces(self.scene, black_surfaces)
+            if not noise and (symptom := symptoms.find_symptom(submission)):
+                return make_verdict(*symptom)
         # Why surfaces are black, their pixels cannot tell: pairs of mistakes would be guesses.
-        finding = submission.find_mistakes(may_be_pair=not black_surfaces)
-        if finding.causes:
-            counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
-            sentence = f"That leaves {counts} wrong pixels unexplained."
-            causes = (_format_sentences(cause, submission) for cause in finding.causes)
-            return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
-        if self.scene and black_surfaces:
-            return _describe_black_surfaces(self.scene, black_surfaces)
-        if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
-            return make_verdict(*symptom)
-        return self._diagnose_unknown(submission, finding)
+        # Pairs change some levels by more than one.
+        may_be_pair = not black_surfaces and submission.clearly_wrong_count > 0
+        finding = submission.find_mistakes(may_be_pair=may_be_pair)
+        if not finding.causes:
+            return self._diagnose_unknown(submission, finding)
+        counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
+        sentence = f"That leaves {counts} wrong pixels unexplained."
+        causes = (_format_sentences(cause, submission) for cause in finding.causes)
+        return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
 
     def _diagnose_unknown(self, submission: Submission, finding: Finding) -> Diagnosis:
         """Describe a picture that no known mistake explains: the nearest, and the wrong pixels."""

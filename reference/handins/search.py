@@ -16,11 +16,13 @@ the one that comes closest to explaining the picture is returned as a hint.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import chain, product
 from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache
@@ -43,6 +45,8 @@ Reencode: TypeAlias = Callable[[Codes], Codes]
 _MAX_UNEXPLAINED_SHARE = 0.03
 # This many unexplained pixels are allowed in any case.
 _MAX_UNEXPLAINED = 3
+# Unexplained pixels that fill a square of this side show another mistake, however few they are.
+_BLOCK_SIDE = 3
 # A cause must reproduce all other pixels within one level, but nearly all of them exactly: it is
 # reported if it leaves at most this share of those inexact that differ from the right picture.  In
 # pictures of other tracers, true causes left up to .02, and false ones .4 and more.
@@ -289,26 +293,41 @@ class Submission:
         order = np.argsort(unexplained_counts, kind="stable")[:max_causes]
         return [causes[index] for index in order if unexplained_counts[index] <= max_unexplained]
 
+    @cached_property
+    def _ranked_singles(self) -> list[Cause]:
+        """The single mistakes that leave the fewest pixels unexplained, the best first."""
+        return self._add_rounding(self._rank_causes(self.renderer.single_causes))
+
+    @cached_property
+    def good_singles(self) -> list[Cause]:
+        """The single mistakes that are good enough to report, unless a pair is far better."""
+        return self._select_good_causes(self._ranked_singles)
+
     def find_mistakes(self, *, may_be_pair: bool = True) -> Finding:
         """Search for the mistakes that explain the submitted picture, or come closest to it.
 
         Pairs of mistakes are tried only if no single mistake explains the picture almost exactly,
         and if `may_be_pair`.
         """
-        singles = self._add_rounding(self._rank_causes(self.renderer.single_causes))
-        causes, pairs = self._select_good_causes(singles), list[Cause]()
+        singles, causes, pairs = self._ranked_singles, self.good_singles, list[Cause]()
         single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if single_count > _MAX_UNEXPLAINED and may_be_pair:
             pairs = self._add_rounding(self._select_best_pairs())
-            good_pairs = self._select_good_causes(list(filter(self._needs_both_mistakes, pairs)))
+            # A pair that is far worse than another is not reported in its place.
+            good_pairs = [
+                pair
+                for pair in self._select_good_causes(pairs)
+                if self._needs_both_mistakes(pair, _MAX_UNEXPLAINED_SHARE)
+            ]
             if good_pairs and _LARGE_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
                 causes = good_pairs
         if causes:
-            unexplained_count = self._count_unexplained_in_full(causes[0])
-            if unexplained_count <= self._max_unexplained:
+            is_unexplained = self._find_unexplained_pixels(causes[0])
+            unexplained_count = int(is_unexplained.sum())
+            if unexplained_count <= self._max_unexplained and not self._has_block(is_unexplained):
                 distinct_causes = tuple(dict.fromkeys(map(remove_variants, causes)))
                 return Finding(causes=distinct_causes, unexplained_count=unexplained_count)
-            singles, pairs = causes[:1], []
+            pairs = []
         return self._choose_hint(singles, pairs)
 
     def _choose_hint(self, singles: list[Cause], pairs: list[Cause]) -> Finding:
@@ -316,6 +335,7 @@ class Submission:
 
         A pair is preferred only if it leaves less than half as many pixels unexplained.
         """
+        pairs = [pair for pair in pairs if self._needs_both_mistakes(pair, _MAX_HINT_SHARE)]
         hint = min(
             singles + pairs,
             default=(),
@@ -324,14 +344,25 @@ class Submission:
         max_unexplained = _MAX_HINT_SHARE * self.wrong_count
         if self._count_unexplained(hint) > max_unexplained or not self._is_exact(hint):
             return Finding(causes=(), unexplained_count=self.wrong_count)
-        unexplained_count = self._count_unexplained_in_full(hint)
+        unexplained_count = int(self._find_unexplained_pixels(hint).sum())
         return Finding(causes=(), unexplained_count=unexplained_count, hint=remove_variants(hint))
 
-    def _count_unexplained_in_full(self, cause: Cause) -> int:
-        """Count the pixels of the complete picture that a cause leaves unexplained."""
+    def _find_unexplained_pixels(self, cause: Cause) -> Shaped[Bools, "n"]:
+        """Find the pixels of the complete picture that a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
         differences = self._compare_levels([cause], every_pixel, self.renderer.width)
-        return int((differences > self.tolerance).sum())
+        is_unexplained: Bools = differences[0] > self.tolerance
+        return is_unexplained
+
+    def _has_block(self, is_unexplained: Shaped[Bools, "n"]) -> bool:
+        """Test whether unexplained pixels fill a square, as a small highlight does.
+
+        Where rounding decides, which is at edges, they form thin lines.  After lossy compression,
+        the test is false, because it spreads errors over its blocks.
+        """
+        square = np.ones((_BLOCK_SIDE, _BLOCK_SIDE))
+        rows = is_unexplained.reshape(-1, self.renderer.width)
+        return not self.format_noise and bool(binary_erosion(rows, square).any())
 
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes that come closest to explaining the submitted picture.
@@ -365,28 +396,29 @@ class Submission:
         pairs |= {varied: None for pair in best_pairs for varied in renderer.add_variants(pair)}
         return self._rank_causes([*pairs]) if len(pairs) > len(best_pairs) else best_pairs
 
-    def _needs_both_mistakes(self, cause: Cause) -> bool:
-        """Test whether each mistake of a pair alone leaves far more pixels unexplained than both.
+    def _needs_both_mistakes(self, pair: Cause, max_share: float) -> bool:
+        """Test whether each mistake of a pair explains pixels that the other leaves unexplained.
 
-        False also if a camera mistake leaves few surfaces in the picture, which may match by
-        chance.
+        The pair must explain them as well as a single mistake would have to: it may leave at most
+        `max_share` of their number unexplained.  False also if a camera mistake leaves few surfaces
+        in the picture, which may match by chance.
         """
-        pair_unexplained = self._count_unexplained(cause)
-        if pair_unexplained > self._max_unexplained:
-            return False  # the pair will not be reported
-        min_unexplained = pair_unexplained + max(_LARGE_RATIO * pair_unexplained, 1)
-        for keyword in set(remove_variants(cause)).difference(mistakes.ROUNDINGS):
-            remaining_cause = tuple(other for other in cause if other != keyword)
-            if self._count_unexplained(remaining_cause) < min_unexplained:
+        pair_unexplained = self._count_unexplained(pair)
+        for keyword in set(remove_variants(pair)).difference(mistakes.ROUNDINGS):
+            remaining_cause = tuple(other for other in pair if other != keyword)
+            explained_count = self._count_unexplained(remaining_cause) - pair_unexplained
+            max_few = min(_MAX_UNEXPLAINED, explained_count / _LARGE_RATIO)
+            if explained_count <= 0 or pair_unexplained > max(max_few, max_share * explained_count):
                 return False
-        renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
+        renderer, formulas = self.renderer, self.renderer.get_formulas(pair)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
-        shown_index = renderer.evaluate([formulas], renderer.sample_index, name="shown_surface")[0]
-        reference_index = renderer.surface_index[renderer.sample_index]
-        shown_count = len(np.unique(shown_index[shown_index >= 0]))
-        reference_count = len(np.unique(reference_index[reference_index >= 0]))
-        return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
+        # The other mistake may remove surfaces.
+        other_formulas = {k: formulas[k] for k in formulas if k not in mistakes.CAMERA_FORMULAS}
+        formula_maps = formulas, other_formulas
+        shown = renderer.evaluate(formula_maps, renderer.sample_index, name="shown_surface")
+        shown_count, usual_count = (len(np.unique(index[index >= 0])) for index in shown)
+        return shown_count >= min(_MIN_SHOWN_SURFACES, usual_count)
 
     def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that are good enough to report, in the order of the table of mistakes.

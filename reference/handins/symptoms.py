@@ -291,7 +291,7 @@ def find_unrendered_part(
 def _describe_black_lines(
     is_black: Shaped[Bools, "lines n"], is_wrong: Shaped[Bools, "lines n"], noun: str
 ) -> str:
-    """Describe black lines in series, or every second one, that contain all wrong pixels."""
+    """Describe the black lines that contain all wrong pixels; "" if other lines do, too."""
     wrong_lines = np.flatnonzero(np.logical_or.reduce(is_wrong, axis=1))
     black_lines = {*np.flatnonzero(np.logical_and.reduce(is_black, axis=1)).tolist()}
     first, last = int(wrong_lines[0]), int(wrong_lines[-1])
@@ -300,12 +300,14 @@ def _describe_black_lines(
         return f"it is black from {noun} {first} on"
     if not black_lines.issuperset(wrong_lines.tolist()):
         return ""
+    if first == last:
+        return f"{noun} {first} is black"
     # Lines in between may be black in the right picture, too.
     if black_lines.issuperset(range(first, last + 1)):
         return f"{noun}s {first} to {last} are black"
     if {*np.diff(wrong_lines).tolist()} == {2}:
         return f"every second {noun} is black, from {noun} {first} on"
-    return ""
+    return f"{len(wrong_lines)} {noun}s are black, the first of them {noun} {first}"
 
 
 def _describe_black_tiles(is_black: Shaped[Bools, "h w"], is_wrong: Shaped[Bools, "h w"]) -> str:
@@ -390,13 +392,13 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
     if wrong_count and is_explained_by_rounding(submission):
         sentence = f"{format_count(wrong_count)} where rounding decides, as in single precision."
         return "single-precision", sentence
-    if is_speckled(submission):
-        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
-        return "shadow-speckles", sentence
     pictures = [to_rows(codes, width) for codes in both_codes]
     is_wrong = (compare_levels(*both_codes) > 1).reshape(-1, width)
     if part := find_unrendered_part(pictures[0], is_wrong):
         return "unrendered", f"It is the right picture, except that {part}."
+    if is_speckled(submission):
+        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+        return "shadow-speckles", sentence
     if is_smoothed(pictures[0], pictures[1]):
         return "smoothed", "It is the right picture with smooth edges: antialiased or blurred."
     if has_palette(pictures[0], pictures[1]):

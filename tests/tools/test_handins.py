@@ -135,8 +135,8 @@ def test_a_mistake_in_one_of_many_surfaces_is_found() -> None:
     wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
     many = Scene(
         camera=Camera(view_point=(0, 0, 9), view_width=0.9, view_height=0.9),
-        width=120,
-        height=120,
+        width=80,
+        height=80,
         lights=[PointLight(position=(2, 5, 6))],
         surfaces=[*(Sphere(center=place, radius=0.3) for place in places), wall],
     )
@@ -172,34 +172,35 @@ def describe_difference(codes: Codes, right: Codes) -> tuple[int, str]:
 
 def test_a_picture_that_no_mistake_explains_is_described() -> None:
     """The report names surfaces, the worst pixel and a command; a rectangle is half as bright."""
-    right, room = reference("room").codes, scene("room")
+    right, spheres = reference("four-spheres").codes, scene("four-spheres")
     codes = right.copy()
-    codes[60:90, 100:140] //= 2
+    codes[50:110, 20:140] //= 2
     count, worst = describe_difference(codes, right)
     is_wrong = (abs(codes.astype(int) - right) > 1).any(axis=2).ravel()
-    row, column = np.divmod(np.arange(is_wrong.size), room.width)
-    surface = first_hits(room, column + 0.5, row + 0.5).surface
+    row, column = np.divmod(np.arange(is_wrong.size), spheres.width)
+    surface = first_hits(spheres, column + 0.5, row + 0.5).surface
     counts = Counter(surface[is_wrong].tolist()).most_common()
     parts = [
-        f"{on_surface:,} of {(surface == k).sum():,} on {SurfaceRef.from_index(room, k)} (darker)"
-        for k, on_surface in counts[:3]
+        f"{shown:,} of {(surface == k).sum():,} on {SurfaceRef.from_index(spheres, k)} (darker)"
+        for k, shown in counts[:3]
     ]
-    parts.append(f"{sum(on_surface for _, on_surface in counts[3:])} on others")
+    parts.append(f"{sum(shown for _, shown in counts[3:]):,} on others")
     place = worst.removeprefix("The worst is ").partition(":")[0]
-    assert str(reference("room").diagnose(Picture(codes))) == (
-        f"None of the {len(list_mistakes(room))} known mistakes explains this picture."
+    assert str(reference("four-spheres").diagnose(Picture(codes))) == (
+        f"None of the {len(list_mistakes(spheres))} known mistakes explains this picture."
         f" {count:,} pixels differ: {', '.join(parts)}. {worst};"
-        f" tracer room.xml --pixel {place} explains it."
+        f" tracer four-spheres.xml --pixel {place} explains it."
     )
 
 
 def test_missing_lights_are_named() -> None:
-    right, first = reference("room").codes, student.render_mistakes(scene("room"), "light-first")
-    codes = np.where(np.indices(right.shape)[1] < 120, first, right)
-    diagnosis = reference("room").diagnose(Picture(codes))
+    right, spheres = reference("four-spheres").codes, scene("four-spheres")
+    first = student.render_mistakes(spheres, "light-first")
+    codes = np.where(np.indices(right.shape)[1] < 80, first, right)
+    diagnosis = reference("four-spheres").diagnose(Picture(codes))
     assert diagnosis.kind == "unknown"
     count, _ = describe_difference(codes, right)
-    light = f"light 1 (line {scene('room').lights[1].line})"
+    light = f"light 1 (line {spheres.lights[1].line})"
     assert f" At {count:,} of these pixels {light} should shine but does not. The" in str(diagnosis)
 
 
@@ -208,7 +209,7 @@ def test_speckles_and_single_precision() -> None:
     for arithmetic in ("float64", "float32"):
         speckled = to_codes(plain.render(scene("room"), shadow_method="t>0", arithmetic=arithmetic))
         assert reference("room").diagnose(Picture(speckled)).kind == "shadow-speckles"
-    darkened = ("room", np.s_[:, ::7], "unknown"), ("highlights", np.s_[:70, :80], "unrendered")
+    darkened = ("room", np.s_[:, ::7], "unrendered"), ("highlights", np.s_[:70, :80], "unrendered")
     for name, dark, kind in darkened:
         codes = reference(name).codes.copy()
         codes[dark] = 0
