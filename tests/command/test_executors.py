@@ -22,6 +22,7 @@ from running import run, write_ball
 from tracer import Scene, render
 from tracer.picture import parallel, render_job, tiles
 from tracer.picture import render as render_module
+from tracer.picture.distribution import Distribution
 from tracer.picture.parallel import has_gil
 from tracer.picture.render_job import RenderJob
 
@@ -225,7 +226,7 @@ def test_an_item_that_takes_as_long_in_a_worker_as_here_is_not_repeated():
         return -item
 
     with Threads(1) as pool:
-        work = parallel.Distribution(wait, wait, 1, pool)
+        work = Distribution(wait, wait, 1, pool)
         assert [*work.process(range(4))] == [0, -1, -2, -3]
     assert sorted(calls) == [0, 1, 2, 3]
 
@@ -243,7 +244,7 @@ def test_parts_of_an_item_are_processed_before_all_other_items():
             return result
         return item[1]
 
-    work = parallel.Distribution[Any, int](process, process, 0)
+    work = Distribution[Any, int](process, process, 0)
     assert [*work.process([1, 2])] == [10, 20]
     assert calls == [1, (1, 0), 2, (2, 0)]
 

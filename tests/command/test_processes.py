@@ -35,6 +35,7 @@ from running import (
 from tracer import Camera, Sphere, load_scene, render, save_scene
 from tracer.command import cli
 from tracer.picture import parallel, tiles
+from tracer.picture.distribution import Distribution
 from tracer.picture.parallel import Threads, WorkerPool
 from tracer.picture.png import compress_tile
 from tracer.picture.render_job import RenderJob
@@ -129,7 +130,7 @@ def test_a_picture_with_some_black_tiles_is_not_black(y, small_tiles, tmp_path, 
 def test_leaving_early_drops_the_remaining_items_and_ends_the_pool(small_tiles):
     job = RenderJob(sphere_scene())
     with closing(WorkerPool(1)) as pool:
-        work = parallel.Distribution(job.render_tile, job.render_tile, 1, pool)
+        work = Distribution(job.render_tile, job.render_tile, 1, pool)
         with closing(work.process(job.work.divide(WorkerPool.sharing))) as results:
             next(results)
             assert multiprocessing.active_children()

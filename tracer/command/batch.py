@@ -37,9 +37,10 @@ from tracer.files import (
     set_part_prefix,
 )
 from tracer.messages import make_printable
+from tracer.picture.distribution import Distribution
 from tracer.picture.formats import FORMATS, EncodedTile, TileEncoder
 from tracer.picture.lint import Exposure, lint_scene
-from tracer.picture.parallel import Distribution, Threads, WorkerPool, has_gil
+from tracer.picture.parallel import Threads, WorkerPool, has_gil
 from tracer.picture.render_job import RenderJob
 from tracer.picture.tiles import Rectangle
 from tracer.scene.model import Scene

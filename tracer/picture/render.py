@@ -14,14 +14,9 @@ from typing import Any, SupportsFloat, SupportsIndex
 import numpy as np
 
 from tracer.arrays import Floats
+from tracer.picture.distribution import Distribution, Executor
 from tracer.picture.lint import Exposure, SceneWarning, lint_scene, warn_user
-from tracer.picture.parallel import (
-    Distribution,
-    Executor,
-    WorkerPool,
-    choose_thread_count,
-    count_processors,
-)
+from tracer.picture.parallel import WorkerPool, choose_thread_count, count_processors
 from tracer.picture.png import write_png
 from tracer.picture.render_job import Crop, RenderJob
 from tracer.picture.tiles import Rectangle

@@ -24,10 +24,11 @@ import numpy as np
 
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.arrays import Floats
+from tracer.picture.distribution import Distribution
 from tracer.picture.formats import EncodedTile, TileEncoder
 from tracer.picture.lint import Exposure
 from tracer.picture.memory import keep_freed_memory
-from tracer.picture.parallel import Distribution, Threads
+from tracer.picture.parallel import Threads
 from tracer.picture.tiles import Rectangle, Work, estimate_work
 from tracer.scene.model import Scene
 from tracer.trace.radiance import compute_radiance
