@@ -1,9 +1,12 @@
 """Connect the certificate with the tracer: a scene as both need it, and samples of it.
 
-The *certificate* is a picture with proven bounds on every pixel (see `certificate`), for which the
-picture is divided into square *cells*.  Besides `shadow_volumes`, only this module of it uses
-internals of the tracer: the prepared scene, its light grid, and single samples.  From a sample, the
-certificate uses only *which* face is visible and *which* lights reach it, never the radiance.
+The *certificate* is a picture with proven bounds on every pixel (see `certificate`).  It is
+computed in square *cells* of the picture.  Of the modules that compute it, only this one and
+`shadow_volumes` use internals of the tracer: the prepared scene, its light grid, and single
+samples.  From a sample, the certificate uses only *which* face is visible and *which* lights reach
+it, never the radiance.
+
+A *face* is a sphere or a side of a box (see `faces`).
 
 Positions are relative to the eye and along the camera's axes, unless said otherwise.
 """
@@ -44,7 +47,7 @@ _MAX_LIGHT_DISTANCE = 1e14
 
 
 class VisibleFaces(NamedTuple):
-    """What samples show, without those that show the background."""
+    """What samples show; samples that show the background are left out."""
 
     hits: Hits
     sample_index: Shaped[Ints, "hits"]  # in any order
@@ -125,22 +128,25 @@ class CertifiedScene:
     ) -> Shaped[Ints, "3 triples"]:
         """List the objects that may shade parts of faces from lights.
 
-        The rows of the result are indices of parts, lights and objects.  Its columns are sorted and
-        contain no duplicates.
+        Each column of the result names a part, a light, and an object between them.  Its rows are
+        the indices of the parts, the lights and the objects.  The columns are sorted, and no two
+        are equal.
 
         Parameters
         ----------
         center, half_size
-            Bounding box of each part, aligned with the scene's axes.
+            A box around each part, in the scene's axes.
         face_index
-            Face of each part.
+            The face to which each part belongs.
         is_requested
             Whether to search for objects between a light and a part.
         """
         grid = self.lights.grid
+        # Each combination of a part, a light and an object has its own key.
+        light_count, part_count = is_requested.shape
+        key_shape = part_count, light_count, self.object_count
         triple_keys = [np.zeros(0, np.intp)]
         may_block = ~self.prepared_scene.is_eye_inside & ~self.prepared_scene.is_duplicate
-        key_shape = (*is_requested.T.shape, self.object_count)
         if grid is not None and is_requested.any():
             object_index = self.faces.object_index[face_index]
             triples = grid.query(center, half_size[:, None], object_index, is_requested)
@@ -148,40 +154,49 @@ class CertifiedScene:
                 keys = np.ravel_multi_index((part_index, light_index, occluder_index), key_shape)
                 triple_keys.append(keys[may_block[occluder_index]])
         # The grid may find an object in several octants, so remove duplicates.
-        return np.array(np.unravel_index(np.unique(np.concatenate(triple_keys)), key_shape))
+        sorted_keys = np.unique(np.concatenate(triple_keys))
+        return np.array(np.unravel_index(sorted_keys, key_shape))
 
     def trace_samples(
         self, x: Shaped[Floats, "samples"], y: Shaped[Floats, "samples"]
     ) -> VisibleFaces:
-        """Trace camera rays to find the faces that are visible at positions in the picture.
+        """Trace a camera ray through each position, and find the face that it hits.
 
-        The positions are in pixels from the upper left corner.
+        The positions are in pixels right and down from the upper left corner of the picture.
         """
         samples, position_index = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared_scene, samples)
+        return VisibleFaces(
+            hits=hits,
+            sample_index=position_index[hits.sample_index],
+            face_index=self._identify_faces(hits),
+        )
+
+    def _identify_faces(self, hits: Hits) -> Shaped[Ints, "hits"]:
+        """Find the index of the face that each camera ray hits."""
         box_count = self.object_count - self.sphere_count
         face_index = np.empty(hits.sample_index.size, dtype=np.intp)
         for group in hits.groups:
+            # From outside a box, the normal towards the eye points up on a high side.
             is_eye_inside = hits.scene.is_eye_inside[group.run_object]
             is_high_side = (group.planes.normal_sign > 0) ^ is_eye_inside
+            # Boxes are numbered after the spheres, and so are the low sides along x of all boxes.
+            # There are `box_count` faces between a box's sides number i and i + 1.
             side_index = 2 * group.planes.face_axis + is_high_side
             is_box = group.shape.has_planar_faces
             run_face_index = group.run_object + is_box * box_count * side_index
             face_index[group.interval] = group.repeat_runs(run_face_index)
         # A ray through the rim of a flat box may hit a side without area: use its visible face.
         sheet_face_index = self._sheet_face_index[self.faces.object_index[face_index]]
-        face_index = np.where(sheet_face_index >= 0, sheet_face_index, face_index)
-        return VisibleFaces(
-            hits=hits, sample_index=position_index[hits.sample_index], face_index=face_index
-        )
+        return np.where(sheet_face_index >= 0, sheet_face_index, face_index)
 
     def test_lights(
         self, hits: Hits, is_tested: Shaped[Bools, "lights hits"]
     ) -> Shaped[Bools, "lights hits"]:
-        """Find out which of the tested lights reach each hit.
+        """Find out which lights reach each hit, among those that `is_tested` marks for it.
 
         A light reaches a hit if it is in front of the surface and no object lies between them.  The
-        result is False for lights that are not tested.
+        result is False where `is_tested` is.
         """
         may_reach = is_tested & (compute_light_geometry(hits, self.lights).n_dot_l > 0)
         return may_reach & ~find_shadows(hits, self.lights, may_reach)
@@ -202,11 +217,15 @@ def _refuse_impossible_scenes(
     is_eye_in_box: Shaped[Bools, "boxes"],
     light_position: Shaped[Floats, "lights 3"],
 ) -> None:
-    """Raise ValueError if the eye is on a surface, or if a light is too far away."""
+    """Raise ValueError if the eye is on a surface, or if a light is too far away.
+
+    The positions of the lights are relative to the eye.
+    """
     is_on_box = is_eye_in_box & np.any(sides.offset == 0, axis=(0, 1))
     if np.any(spheres.eye_power == 0) or is_on_box.any():
         raise ValueError("the eye is on a surface; move it off")
-    lengths = np.append(spheres.radius, (sides.position[:, 1] - sides.position[:, 0]).ravel())
+    box_size = sides.position[:, 1] - sides.position[:, 0]
+    lengths = np.append(spheres.radius, box_size.ravel())
     max_distance = _MAX_LIGHT_DISTANCE * lengths[lengths > 0].min(initial=np.inf)
     if np.abs(light_position).max(initial=0) > max_distance:
         limit = f"{_MAX_LIGHT_DISTANCE:g} times the size of an object"
@@ -215,7 +234,7 @@ def _refuse_impossible_scenes(
 
 def _find_sides_of_lights(lights: Lights, boxes: Boxes) -> Shaped[NDArray[Any], "lights objects"]:
     """Return positive numbers for lights outside objects, negative inside, 0 on sides of boxes."""
-    # In `lights.side`, a light on a side counts as outside.
+    # `lights.side` differs only in that a light on a side of a box counts as outside.
     side = lights.side.copy()
     box_index = boxes.objects.list_indices()
     light_x, light_y, light_z = lights.position.T[:, :, None]

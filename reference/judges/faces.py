@@ -4,12 +4,13 @@ The *certificate* is a picture with proven bounds on every pixel (see `certifica
 them, it divides the picture into square *cells*, and asks which functions of the camera ray decide
 what a cell shows.  A *face* is a sphere, or a rectangular side of a box.
 
-The idea: divided by the distance to the face, everything about a face is linear or quadratic in the
-direction of a camera ray, except for one square root.
+A ray from the eye with direction d meets a face at t d.  Divided by t, every function that matters
+is a polynomial of degree one or two in d, plus one square root:
 
-- A ray from the eye with direction d meets a face at t d.  Let a sphere have centre c and radius r,
-  and let p = |c|^2 - r^2 be the power of the eye.  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)): the
-  near intersection if the eye is outside the sphere, the far one if it is inside.  Hence
+- Inverse distance.  Let a sphere have the centre c and the radius r.  A point t d lies on it if
+  t^2 d^2 - 2 t c.d + p = 0, where p = |c|^2 - r^2 is the *power* of the eye.  The root that the eye
+  sees is the near one if the eye is outside the sphere, and the far one if it is inside.  In both
+  cases, t = p / (c.d + sqrt((c.d)^2 - p d^2)).  Hence
 
       1 / t = k.d + s    with k = c / p, s^2 = w^2 (r^2 d^2 - |c x d|^2) and w = 1 / p.
 
@@ -17,8 +18,8 @@ direction of a camera ray, except for one square root.
 - A *half-space* is the set of points x with n.x + b >= 0.  The point t d is inside if
   n.d + b / t >= 0.  A half-space is stored as five numbers: n in three, b, and the sum of the
   absolute values of the terms of b, from which rounding errors are bounded.
-- The height of a light above the tangent plane of a face, divided by t, also has the form
-  n.d + b / t.
+- The height of a light above the tangent plane of a face at t d, divided by t, also has the form
+  n.d + b / t.  So it is stored like a half-space.
 
 Faces are numbered as in `box_sides`, and objects with all spheres first.  Positions are relative to
 the eye and along the camera's axes, unless said otherwise.
@@ -61,17 +62,16 @@ class Faces(NamedTuple):
     is_planar: Shaped[Bools, "faces"]  # whether the face is a side of a box
     # Whether the face would be visible from the eye if no other object hid it.
     may_be_visible: Shaped[Bools, "faces"]
-    # Two numbers that are equal only for faces in the same plane.  If two such faces overlap, the
-    # first in the scene file is visible.
+    # Two numbers per face.  Two faces have the same numbers only if they are in the same plane.  If
+    # such faces overlap, the first in the scene file is visible.
     plane_id: Shaped[Floats, "2 faces"]
-    # Coefficients k and w of the inverse distance.  For a side of a box, w = 0.
-    linear_coef: Shaped[Floats, "3 faces"]
-    root_coef: Shaped[Floats, "faces"]
-    # For a side of a box, the half-space beyond its plane.  For a sphere, the terms -2 c.x + p of
-    # its equation, without the term x^2 that all spheres share.
+    linear_coef: Shaped[Floats, "3 faces"]  # k of the inverse distance
+    root_coef: Shaped[Floats, "faces"]  # w of the inverse distance; 0 for a side of a box
+    # For a side of a box, the half-space on the box's side of its plane.  For a sphere, the terms
+    # -2 c.x + p of its equation x^2 - 2 c.x + p = 0, as n.x + b.
     face_equation: Shaped[Floats, "5 faces"]
-    # For each light, then the eye: the half-space with n.d + b / t equal to the height of the light
-    # (or eye) above the face's tangent plane, divided by t.
+    # n and b for each light, and at last for the eye: n.d + b / t is the height of the light or the
+    # eye above the face's tangent plane at t d, divided by t.
     height_half_space: Shaped[Floats, "5 lights+1 faces"]
     # Four half-spaces whose intersection with the plane of a side of a box is this side.
     rim_half_spaces: Shaped[Floats, "5 4 faces"]
@@ -85,7 +85,11 @@ def describe_faces(
     viewpoint: Viewpoint,
     is_duplicate: Shaped[Bools, "objects"],
 ) -> Faces:
-    """Describe all faces of a scene; duplicates (see `PreparedScene`) are invisible."""
+    """Describe all faces of a scene.
+
+    `is_duplicate` marks objects that are equal to an earlier one in the scene file, and therefore
+    invisible.
+    """
     sphere_count = spheres.radius.size
     side_object_index = np.arange(sphere_count, is_duplicate.size)
     object_index = append_sides(
@@ -113,9 +117,10 @@ def describe_faces(
 
 
 def _identify_planes(sphere_count: int, sides: BoxSides) -> Shaped[Floats, "2 faces"]:
-    """Return the index of each face's perpendicular axis, and the coordinate on this axis.
+    """Return two numbers per face that are equal only for faces in the same plane.
 
-    Each sphere has a number of its own on axis 3, which no side has.
+    For a side of a box, they are the index of the perpendicular axis (0 to 2) and the coordinate of
+    the side on this axis.  For a sphere, they are 3 and the index of the sphere.
     """
     sphere_plane = np.array([np.full(sphere_count, 3), np.arange(sphere_count)])
     side_plane = np.array([np.indices(sides.position.shape)[0], sides.position])
@@ -149,14 +154,16 @@ def _compute_side_half_spaces(
 def _collect_rims(
     sphere_count: int, side_half_space: Shaped[Floats, "5 3 2 boxes"]
 ) -> Shaped[Floats, "5 4 faces"]:
-    """Collect for each side the half-spaces of the four sides along the two other axes.
+    """Collect for each side of a box the half-spaces of the four sides that it touches.
 
-    The half-spaces of a sphere are zero.
+    These are the sides along the two other axes.  The half-spaces of a sphere are zero.
     """
-    # The axes of the array become: numbers of a half-space, rim, axis of the side, low or high,
-    # box.
-    rim = side_half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
-    return append_sides(np.zeros((5, 4, sphere_count)), rim.repeat(2, axis=3))
+    # For each of the three axes, select the sides along the two other axes: (5, 3, 2, 2, boxes).
+    other_sides = side_half_space[:, [[1, 2], [2, 0], [0, 1]]]
+    # The four half-spaces come before the axis of the side.  Its low and its high side share them.
+    rim_by_axis = other_sides.reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
+    side_rim = rim_by_axis.repeat(2, axis=3)
+    return append_sides(np.zeros((5, 4, sphere_count)), side_rim)
 
 
 def _compute_side_heights(
@@ -164,7 +171,8 @@ def _compute_side_heights(
 ) -> Shaped[Floats, "5 lights+1 3 2 boxes"]:
     """Compute `Faces.height_half_space` for sides: heights of the lights, then of the eye.
 
-    A height is positive on the eye's side of the plane.  It is the same for all rays, so n = 0.
+    A height is positive on the eye's side of the plane.  It is the same for all rays, so n = 0 and
+    b is the height.
     """
     light_or_eye = np.append(viewpoint.scene_light_position, viewpoint.eye[None], axis=0)
     height = np.sign(sides.offset) * (sides.position - light_or_eye[:, :, None, None])
@@ -175,9 +183,11 @@ def _compute_sphere_heights(
     spheres: SphereShapes, light_position: Shaped[Floats, "lights 3"]
 ) -> Shaped[Floats, "5 lights+1 spheres"]:
     """Compute `Faces.height_half_space` for spheres: heights of the lights, then of the eye."""
-    # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point
-    # t d, t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
-    # outside the sphere, and -1 if it is inside.
+    # Let c be the centre, r the radius, p the power of the eye, and q the light.  The normal at t d
+    # is g (t d - c) / r, where g is 1 if the eye is outside the sphere, and -1 if it is inside.
+    # The height of the light is the dot product of the normal and q - t d.  Because t d is on the
+    # sphere, t^2 d^2 = 2 t c.d - p, so the height is g (t (q - c).d + p - c.q) / r.  Divided by t,
+    # this is n.d + b / t with n = g (q - c) / r and b = g (p - c.q) / r.
     c = spheres.center[:, None]
     p = spheres.eye_power
     q = np.append(light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
@@ -189,9 +199,10 @@ def _compute_sphere_heights(
 
 
 def find_sheet_faces(faces: Faces, is_sheet: Shaped[Bools, "objects"]) -> Shaped[Ints, "objects"]:
-    """Find the only face of each sheet (see `BoxSides`) that has area and may be visible.
+    """Find the only face of each flat box that has area and may be visible.
 
-    The result is -1 for objects that are no sheets, and for sheets without such a face.
+    `is_sheet` marks the flat boxes.  The result is -1 for other objects, and for flat boxes without
+    such a face.
     """
     visible_face_index = np.flatnonzero(faces.may_be_visible & is_sheet[faces.object_index])
     sheet_face_index = np.full(is_sheet.size, -1)
@@ -206,18 +217,18 @@ def find_unlit_faces(
 ) -> Shaped[Bools, "lights faces"]:
     """Find the faces on which each light certainly reaches no visible point.
 
-    The light is (1) outside an object that contains the eye, (2) inside any other object, or
-    (3) behind the face's plane.
+    There are three reasons.  The surface of an object may lie between the light and everything that
+    the eye sees, because one of them is inside it and the other is outside.  The eye may be inside
+    the face's box, and the light on its surface.  Or the light is not in front of a side of a box.
 
     Parameters
     ----------
     light_side
         Positive for a light outside an object, negative inside, and 0 on a side of a box.
     """
-    is_separated = np.any(
-        np.where(is_eye_inside, light_side > 0, light_side < 0), axis=1, keepdims=True
-    )
-    # In a box, the eye sees inner sides, which a light on or outside the box cannot reach.
+    is_separated = np.where(is_eye_inside, light_side > 0, light_side < 0)
+    reaches_nothing = is_separated.any(axis=1, keepdims=True)
+    # In a box, the eye sees inner sides, which a light on the box cannot reach.
     is_cut_off = (is_eye_inside & (light_side >= 0))[:, faces.object_index]
     is_behind_plane = faces.is_planar & (faces.height_half_space[3, :-1] <= 0)
-    return np.asarray(is_separated | is_cut_off | is_behind_plane)
+    return np.asarray(reaches_nothing | is_cut_off | is_behind_plane)
