@@ -206,7 +206,7 @@ class _Quadratics(NamedTuple):
     def find_nearest_zeros(
         self, h_across: Shaped[Floats, "n"]
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Find x and y of a zero near the center: the nearest on the line along the gradient g.
+        """Find x and y of the zero that is nearest to the center, on a line along the gradient g.
 
         The line passes through the center.  If the zero is outside the cell, the result is the
         point at which the line leaves the cell.  `h_across` is the second derivative along g.

@@ -70,7 +70,7 @@ class Settings(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A scene file to render, and the path of its picture: an item of the list."""
+    """An item of the list: a scene file to render, and the path of its picture."""
 
     scene_path: str  # "-" is standard input
     output_path: str  # "-" is standard output
@@ -80,7 +80,7 @@ class Job(NamedTuple):
 
 
 class _Tile(NamedTuple):
-    """A tile of a picture that all workers share: an item of the list."""
+    """An item of the list: a tile of a picture that all workers share."""
 
     render_job: RenderJob
     encode: TileEncoder
@@ -102,7 +102,7 @@ class Report(NamedTuple):
 class Batch:
     """A renderer of many scene files, which uses all processors and prints a line for each scene.
 
-    Call `close` at the end: it ends the workers.
+    Call `close` at the end, so that the workers end.
 
     Parameters
     ----------
@@ -229,9 +229,9 @@ class _Run:
                 self._distribution.submit_items()
 
     def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
-        """Show progress in pictures and pixels.
+        """Show progress in pictures and pixels, including those of the current picture.
 
-        Add the rendered part of the current picture: a fraction from 0 to 1, and its pixels.
+        `rendered_fraction` is the part of this picture that has been rendered, from 0 to 1.
         """
         note = format_pixel_count(self._pixel_count + rendered_pixel_count)
         self._progress.update(self._finished_count + rendered_fraction, note)

@@ -57,7 +57,7 @@ class Distribution(Generic[_Item, _Result]):
 
     Both take items from the front of the list.  When none is left to take, this process repeats
     those that the workers have not finished.  While this process is busy with a large item, it can
-    divide the item into smaller ones: a nested call of `process` puts these in front of all others.
+    divide the item into smaller ones.  A nested call of `process` puts these in front of the list.
 
     Parameters
     ----------

@@ -151,6 +151,7 @@ def _check_color_ranges(scene: Scene) -> str | None:
             return _format_range_warning("intensity", light.intensity, light_name)
     surfaces = scene.surfaces
     shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
+    # For each shader that a surface uses, the first of these surfaces.
     _, first_indices = np.unique(shader_index_of_surface, return_index=True)
     for surface_index in first_indices.tolist():
         shader = surfaces.shaders[shader_index_of_surface[surface_index]]

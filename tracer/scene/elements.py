@@ -54,7 +54,7 @@ class FatalError(Exception):
 
 
 class Element(list["Element"]):
-    """An XML element of a scene file: a list of its child elements."""
+    """An XML element of a scene file, as the list of its child elements."""
 
     # The parser sets the attributes one by one, because this is faster than an `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")

@@ -12,7 +12,7 @@ import re
 from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import MISSING, replace
+from dataclasses import replace
 from itertools import count
 from typing import IO, Any, cast
 from unicodedata import normalize
@@ -290,7 +290,7 @@ class _Reader(ErrorCollector):
                 continue
             column.append_default()
             tag = column.tags[0]
-            if column.default is MISSING and tag not in intended_names:
+            if column.is_required and tag not in intended_names:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, Field, fields
 from itertools import repeat
 from typing import Annotated as Shaped
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -49,6 +49,10 @@ def parse_numbers(text: str, number_count: int) -> list[float]:
     return numbers
 
 
+# The value of a field that consists of numbers, as the dataclass stores it.
+_Value: TypeAlias = float | tuple[float, ...] | None
+
+
 class Column:
     """The numbers of one field in all objects of a table, one row for each object.
 
@@ -58,7 +62,8 @@ class Column:
 
     validator: NumberValidator
     tags: tuple[str, ...]  # the tags that the child may have; nearly all fields have only one
-    default: Any  # value if the child is absent; `dataclasses.MISSING` if the child is required
+    is_required: bool  # whether each object must have the child
+    default: _Value  # value of the field if the child is absent; None if it is required
     numbers: array[float]  # row after row; NaN for missing and unreadable numbers
     lines: array[int]  # for each row, the line of the child; 0 if it is absent
     tag_indices: array[int]  # for each row, the index of the child's tag in `tags`
@@ -66,9 +71,9 @@ class Column:
     def __init__(self, field: Field[Any]) -> None:
         self.validator = field.metadata["validator"]
         self.tags = field.metadata["tags"]
-        self.default = field.default
-        has_numbers = self.default not in (MISSING, None)
-        default_numbers = self.default if has_numbers else np.nan
+        self.is_required = field.default is MISSING
+        self.default = None if field.default is MISSING else field.default
+        default_numbers = np.nan if self.default is None else self.default
         self._default_row = np.broadcast_to(default_numbers, self.validator.number_count).tolist()
         self.numbers = array("d")
         self.lines = array("i")
@@ -81,14 +86,14 @@ class Column:
         self.tag_indices.append(self.tags.index(tag))
 
     def append_default(self) -> None:
-        """Append the row of an object without the child: the numbers of the default, or NaN."""
+        """Append the row of an object without the child: the default, or NaN if that is None."""
         self.append(self._default_row, 0, self.tags[0])
 
     def to_array(self) -> Shaped[Floats, "n count"]:
         """Return a view of the rows.  While it exists, appending a row raises BufferError."""
         return np.reshape(self.numbers, (-1, self.validator.number_count))
 
-    def get_values(self) -> Iterable[Any]:
+    def get_values(self) -> Iterable[_Value]:
         """Return the value of each row as the dataclass stores it: a float, or a tuple of floats.
 
         If the child is absent in all objects, each value is the default, which may be None.
