@@ -1,4 +1,8 @@
-"""Set the style of all charts, and run the commands that measure a table and draw its chart."""
+"""Set the style of all charts, and run the commands that measure a table and draw its chart.
+
+Importing this module sets the style.  Modules that draw import `plt`, Matplotlib's pyplot, from
+here, so that they cannot forget the style.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +24,11 @@ __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
 CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
 
-# Distances in inches from the edge of the chart that the name ends with.
-_TEXT_LEFT = 0.2
-_TITLE_TOP = 0.15
-_NOTE_TOP = 0.45
-_ORIGIN_BOTTOM = 0.08
+# Distances of texts from the edges of the chart, in inches.
+_TEXT_TO_LEFT_EDGE = 0.2
+_TITLE_TO_TOP = 0.15
+_NOTE_TO_TOP = 0.45
+_ORIGIN_TO_BOTTOM = 0.08
 
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
 plt.rcParams.update({"axes.titlelocation": "left", "axes.titleweight": "bold"})
@@ -52,15 +56,18 @@ def run_chart_command(
     title: str,
     note: str,
 ) -> None:
-    """Measure a table, store it as NAME.csv, and draw it as NAME.svg: `python -m reference.NAME`.
+    """Run `python -m reference.NAME`: measure a table, store it as NAME.csv, draw it as NAME.svg.
 
-    With the option `--quick`, it measures fewer points and writes to the build folder.  With
-    `--redraw`, it draws the stored table without measuring.
+    The files are in the folder `reference`.  With the option `--quick`, the command measures fewer
+    points and writes to the build folder.  With `--redraw`, it draws the stored table without
+    measuring.
 
     Parameters
     ----------
     name
         Name of the module, NAME above.
+    columns
+        Titles of the columns of the table.
     measure
         Yields the rows of the table.  Its argument is True to measure fewer points.
     draw
@@ -79,11 +86,19 @@ def run_chart_command(
         write_csv(table_path, origin, columns, rows)
     origin, stored_rows = read_csv(table_path)
     figure = draw(stored_rows)
-    width, height = figure.get_size_inches()
-    text_left = _TEXT_LEFT / width
-    figure.text(text_left, 1 - _TITLE_TOP / height, title, va="top", fontsize=14, weight="bold")
-    figure.text(text_left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")
-    footer = f"Measured on {origin}."
-    figure.text(text_left, _ORIGIN_BOTTOM / height, footer, fontsize=7, color="#666666", wrap=True)
+    _write_texts(figure, title, note, f"Measured on {origin}.")
     figure.savefig(table_path.with_suffix(".svg"), metadata={"Date": None})
     plt.close(figure)
+
+
+def _write_texts(figure: Any, title: str, note: str, footer: str) -> None:
+    """Write a title and a note at the top of a Figure of Matplotlib, and a footer at the bottom."""
+    # Positions are fractions of the size of the figure, from its lower left corner.
+    width, height = figure.get_size_inches()
+    x = _TEXT_TO_LEFT_EDGE / width
+    title_top = 1 - _TITLE_TO_TOP / height
+    note_top = 1 - _NOTE_TO_TOP / height
+    footer_bottom = _ORIGIN_TO_BOTTOM / height
+    figure.text(x, title_top, title, va="top", fontsize=14, weight="bold")
+    figure.text(x, note_top, note, va="top", fontsize=9, color="#444444")
+    figure.text(x, footer_bottom, footer, fontsize=7, color="#666666", wrap=True)

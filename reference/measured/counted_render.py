@@ -4,8 +4,9 @@
 
 `reference.mechanisms` runs this file as a script, with the variable PYTHONPATH set to the folder
 that contains the tracer to measure.  The script writes the linear radiance of the picture to a
-file, and prints a JSON list of two numbers: the least CPU time of a picture in seconds, and the
-number of times that an object was tested with a ray, segment or capsule in one picture.
+file.  It prints a JSON list of two numbers: the least CPU time of a picture in seconds, and the
+number of tests in one picture.  A *test* asks whether one object meets one ray, one segment or one
+capsule (the points near a segment).
 """
 
 from __future__ import annotations
@@ -27,10 +28,15 @@ from tracer.geometry.sphere import Spheres
 _MIN_TOTAL_SECONDS = 0.3
 
 test_count = 0
+"""Number of tests since the current picture was begun."""
 
 
 def count_tests(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function add the size of its result, or of its first result, to `test_count`."""
+    """Return a function that calls another one, and adds the number of its tests to `test_count`.
+
+    The result of the other function has one element for each test.  If it is a tuple, this holds
+    for its first element.
+    """
 
     def count_and_call(*arguments: Any) -> Any:
         global test_count

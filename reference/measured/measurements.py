@@ -39,7 +39,7 @@ _MIN_TOTAL_SECONDS = 0.5
 # Maximum number of rounds, as a multiple of the requested number.
 _MAX_ROUNDS_FACTOR = 5
 
-# Maximum time, in seconds, of a task that also runs untimed before each timed run, because the
+# A task that takes less than this many seconds also runs untimed before each timed run, because the
 # previous task has filled the caches.  After POV-Ray, a picture of 5 ms took 8 to 18 ms.
 _MAX_WARM_UP_SECONDS = 0.1
 
@@ -53,12 +53,17 @@ class Timing(NamedTuple):
 
     def __str__(self) -> str:
         """Format the times in milliseconds: "median (low–high)", or one number if all are equal."""
-        median_ms, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
-        return median_ms if self.low == self.high else f"{median_ms} ({low}–{high})"
+        median_ms, low_ms, high_ms = map(_format_milliseconds, self)
+        return median_ms if self.low == self.high else f"{median_ms} ({low_ms}–{high_ms})"
 
     def divided_by(self, item_count: int) -> Timing:
         """Divide all three times by the number of items that the task processed."""
         return Timing(*(seconds / item_count for seconds in self))
+
+
+def _format_milliseconds(seconds: float) -> str:
+    """Format a time in milliseconds, with one decimal place if it is less than 100 ms."""
+    return f"{1e3 * seconds:,.0f}" if seconds >= 0.1 else f"{1e3 * seconds:.1f}"
 
 
 def time_alternately(
@@ -66,28 +71,37 @@ def time_alternately(
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
-    Each of the first `min_rounds` rounds runs every task once.  Further rounds run only tasks whose
-    times add up to less than `min_seconds`.  There are at most `_MAX_ROUNDS_FACTOR` * `min_rounds`
-    rounds.  Before the first round, every task runs once untimed.  Short tasks also run untimed
-    before each timed run (see `_MAX_WARM_UP_SECONDS`).  The result has the keys of `tasks`.
+    At first, every task runs once untimed.  Each of the next `min_rounds` rounds runs every task
+    once.  Further rounds run only tasks whose times add up to less than `min_seconds`.  In total,
+    there are at most `_MAX_ROUNDS_FACTOR` * `min_rounds` rounds.  The result has the keys of
+    `tasks`.
     """
-    warm_up_seconds = {}
+    short_tasks = set()
     for name, task in tasks.items():
         start_time = perf_counter()
         task()
-        warm_up_seconds[name] = perf_counter() - start_time
+        if perf_counter() - start_time < _MAX_WARM_UP_SECONDS:
+            short_tasks.add(name)
     seconds: dict[_Name, list[float]] = {name: [] for name in tasks}
     for round_index in range(_MAX_ROUNDS_FACTOR * min_rounds):
         for name, task in tasks.items():
             if round_index < min_rounds or sum(seconds[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
-                if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
+                if name in short_tasks:
                     task()
-                start_time = perf_counter()
-                result = task()
-                elapsed_seconds = perf_counter() - start_time
-                seconds[name].append(result if isinstance(result, float) else elapsed_seconds)
+                seconds[name].append(_time_task(task))
     return {name: Timing(median(times), min(times), max(times)) for name, times in seconds.items()}
+
+
+def _time_task(task: Task) -> float:
+    """Run a task, and return the time in seconds that it took.
+
+    If the task returns a float, this is the time.
+    """
+    start_time = perf_counter()
+    result = task()
+    elapsed_seconds = perf_counter() - start_time
+    return result if isinstance(result, float) else elapsed_seconds
 
 
 def make_command_task(command: Sequence[str]) -> Task:
@@ -95,7 +109,8 @@ def make_command_task(command: Sequence[str]) -> Task:
 
     The function waits for the command, and raises CalledProcessError if the command fails.
     """
-    # Without this variable, Python stores compiled modules, so only the first run compiles them.
+    # Without this variable, Python stores compiled modules, so that only the first run compiles
+    # them.
     environment = {**os.environ}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
@@ -104,7 +119,7 @@ def make_command_task(command: Sequence[str]) -> Task:
 def write_csv(
     path: Path, origin: str, column_titles: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a table as a CSV file whose first line is a comment on the table's origin.
+    """Write a table to a CSV file: a comment line with its origin, the column titles, and the rows.
 
     Floats are rounded to six digits.
     """
@@ -117,7 +132,7 @@ def write_csv(
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read a file that `write_csv` wrote: the origin, and the rows without the titles."""
+    """Read a file that `write_csv` wrote; return its origin, and its rows without the titles."""
     with path.open(newline="", encoding="utf-8") as file:
         origin = file.readline().removeprefix("# ").rstrip("\n")
         return origin, list(csv.reader(file))[1:]
@@ -148,11 +163,13 @@ def _describe_commit() -> str:
     git_command = f"git -C {shlex.quote(str(REFERENCE_FOLDER))}"
     exit_status, short_hash = subprocess.getstatusoutput(f"{git_command} rev-parse --short=7 HEAD")
     changed_files = subprocess.getoutput(f"{git_command} status --porcelain -- ':/*.py'")
-    return "no commit" if exit_status else f"commit {short_hash}{'+' * bool(changed_files)}"
+    if exit_status:
+        return "no commit"
+    return f"commit {short_hash}+" if changed_files else f"commit {short_hash}"
 
 
 def _describe_processor() -> str:
-    """Describe the processor by its model on Linux, and by its name or architecture elsewhere."""
+    """Return the model of the processor on Linux, and its name or architecture elsewhere."""
     cpu_file = Path("/proc/cpuinfo")
     cpu_text = cpu_file.read_text() if cpu_file.exists() else ""
     model_match = re.search(r"^model name\s*: (.*)", cpu_text, re.M)
