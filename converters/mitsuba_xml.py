@@ -83,7 +83,7 @@ def make_plugin(
     name
         Name by which other plugins refer to this one.
     **parameters
-        Values of Mitsuba's parameters, by their names.  Each is a bool, an int, a float or a str.
+        Mitsuba's parameters.  Each value is a bool, an int, a float or a str.
     """
     element = Element(tag, type=plugin_type)
     if name is not None:

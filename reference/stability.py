@@ -170,7 +170,7 @@ METHODS: dict[str, Method] = {
     "normal offset 1e-4": partial(plain.render, shadow_method="normal"),
     "offset of 256 ulp": partial(plain.render, shadow_method="ulps"),
 }
-"""Functions that render a scene, by the names of the methods that they use."""
+"""Maps the name of a method to a function that renders a scene with it."""
 
 
 def measure_largest_error(

@@ -68,7 +68,7 @@ def measure_scene(name: str, size: tuple[int, int]) -> str:
 def measure_commands(python: str, inputs: dict[str, list[str]]) -> Iterator[str]:
     """Time the command on a Python with one worker and with all, and yield rows of the table.
 
-    `inputs` are lists of scene files by their names for the table.
+    `inputs` maps the name of each row of the table to the scene files that the command renders.
     """
     name = subprocess.check_output([python, "-c", _PRINT_VERSION], text=True)
     for input_name, paths in inputs.items():
@@ -82,7 +82,7 @@ def measure_commands(python: str, inputs: dict[str, list[str]]) -> Iterator[str]
 
 
 def write_inputs(quick: bool) -> dict[str, list[str]]:
-    """Write scene files for the command, and return their paths by their names for the table."""
+    """Write scene files for the command; map the name of each row of the table to their paths."""
     frame_count = 4 if quick else 40
     scene = load_scene(SCENES / "sticks-perspective.xml")
     frames = build_animation(copy_with_picture_size(scene, *_FRAME_SIZE), frame_count)

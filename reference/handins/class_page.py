@@ -106,7 +106,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
 def render_student_pages(
     results: Sequence[Result], pairs: dict[str, Pair], folder: Path
 ) -> dict[str, str]:
-    """Render a page for each student, which names no other: by the name of the student.
+    """Render a page for each student, which names no other; return a dict from names to pages.
 
     The arguments are those of `render_class_page`.
     """

@@ -17,7 +17,7 @@ import numpy as np
 from reference.handins import formula_functions
 
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
-"""Functions of `compile_formula`, by the name of the value that they compute."""
+"""Maps the name of a value to the function of `compile_formula` that computes it."""
 
 _OWN_NAMES = """normalize dot select_vectors intersect_spheres intersect_boxes
     make_scaled_intersect make_far_intersect make_intersect find_first_crossing

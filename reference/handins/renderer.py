@@ -211,10 +211,11 @@ class MistakeRenderer:
         submitted_codes: Shaped[Codes, "3 n"],
         fitting_cache: FormulaCache | None = None,
     ) -> FormulaCache:
-        """Create a cache that evaluates formulas, such as the radiance, at the given pixels.
+        """Create a cache of the values of formulas at the given pixels.
 
-        The numbers of fitted mistakes are estimated from the pixels of `fitting_cache`; by default,
-        from those of the new cache.
+        Some formulas of mistakes have a number that is estimated from the submitted picture, such
+        as `fitted_gamma`.  It is estimated at the pixels of `fitting_cache`, or at those of the new
+        cache if that is None.
         """
         row, column = np.divmod(pixel_index, self.width)
         pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixel_index]}

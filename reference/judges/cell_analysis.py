@@ -87,7 +87,7 @@ class CellAnalysis:
         self.cells = cells
         self.edges = []
         self._set_rays()
-        self._find_visible_faces()
+        self._remove_invisible_pairs()
         self._find_terminators()
         self._find_shadows()
         if cells.width <= 1:
@@ -205,11 +205,11 @@ class CellAnalysis:
             enclosures[function_index[is_narrower]] = replacement[is_narrower]
         return enclosures
 
-    def _find_visible_faces(self) -> None:
-        """Remove invisible pairs, and enclose the inverse distance 1 / t of each remaining face.
+    def _remove_invisible_pairs(self) -> None:
+        """Remove each pair of a cell and a face whose face cannot be seen in the cell.
 
-        A pair is removed if the face is outside the cell, or is hidden everywhere in it.  The
-        outlines of the remaining faces become possible edges.
+        The remaining pairs replace `self.cells`.  The method also stores what encloses the inverse
+        distances 1 / t of their faces, and lists the outlines of these faces as possible edges.
         """
         face_index = self.cells.face_index
         discriminants = self._enclose_discriminants()

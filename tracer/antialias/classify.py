@@ -203,7 +203,8 @@ def _collect_center_samples(
 ) -> CenterSamples:
     """Collect the radiance and the id of each center sample, in the order of the cells.
 
-    All lights must have been added to `shading`, whose hits have the cells `hit_cell_index`.
+    `hit_cell_index` contains the cell of each hit in `shading`.  Add all lights to `shading` first.
+    Samples without a hit get the id -1.
     """
     radiance = np.empty((3, sample_cell_index.size))
     radiance[:, sample_cell_index] = shading.compute_radiance()

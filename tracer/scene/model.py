@@ -544,7 +544,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create the `Sphere` or `Box` with an index in the arrays."""
+        """Create the `Sphere` or `Box` at the given index of the arrays."""
         # Skip the tables before the surface's own.  Then `row` is the row in this table.
         row = index
         for kind in self.counts:

@@ -278,8 +278,8 @@ class _Reader(ErrorCollector):
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
         """Read a camera, a light, a shader or a surface into a new row of a table.
 
-        `attributes` are the names of the attributes that the element may have.  Return the children
-        of the element, by the names of the fields that they define.
+        `attributes` are the names of the attributes that the element may have.  Return a dict that
+        maps each field that a child of the element defines to this child.
         """
         children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
         table.begin_row(element.line)
@@ -304,14 +304,14 @@ class _Reader(ErrorCollector):
         Parameters
         ----------
         field_of_tag
-            The name of the field that a child defines, by the tag of the child.
+            Maps the tag of a child to the name of the field that it defines.
         attributes
             The names of the attributes that the element may have.
 
         Returns
         -------
         children
-            The children, by the names of their fields.
+            Maps the name of each field to the child that defines it.
         intended_names
             The names that were probably meant by unknown attributes and tags.  It contains None if
             the meaning of one is unclear.

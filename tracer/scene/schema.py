@@ -238,7 +238,7 @@ EXPONENT = NumberValidator(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def get_number_validators(dataclass: Any) -> dict[str, NumberValidator]:
-    """Return the validator of each field of a dataclass that consists of numbers, by its name."""
+    """Map the name of each numeric field of a dataclass to the validator of its numbers."""
     items = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
     return {name: validator for name, validator in items if isinstance(validator, NumberValidator)}
 
@@ -248,7 +248,7 @@ def find_field_errors(
 ) -> Iterator[FieldError]:
     """Find invalid and contradictory numbers in n objects of one class.
 
-    `field_rows` contains an array for each numeric field, by its name, with a row for each object.
+    `field_rows` maps the name of each numeric field to an array with a row for each object.
     """
     for name, validator in get_number_validators(dataclass).items():
         for index, message in validator.find_invalid_rows(field_rows[name]):

@@ -214,10 +214,11 @@ class PreparedScene:
 def _choose_packet_width(frame: CameraFrame, object_count: int) -> float:
     """Choose the width, in pixels, of packets (groups of neighbouring hits).
 
-    It is proportional to the width of an object if objects of equal size fill the picture.
+    It is proportional to the width that each object would have if equally large objects filled the
+    picture.
     """
-    # Packets lie along rows.  If pixels are narrower than high, packets are more pixels wide.  If
-    # pixels are lower than wide, there are more packets instead.
+    # Packets lie along rows.  If pixels are taller than wide, packets are more pixels wide.  If
+    # pixels are wider than tall, there are more packets instead.
     pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
     return _PACKET_SCALE * sqrt(pixel_count / max(object_count, 1))
 
