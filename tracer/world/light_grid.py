@@ -68,22 +68,24 @@ _CELLS_PER_BATCH = 4 * CACHE_SIZE
 # objects lie in one cell.
 _OBJECTS_PER_OUTLIER = 64
 
-# Flags of a cell in a rectangle: the cell is in the first column of the rectangle, or in its first
-# row.
+# Flags of a cell in a rectangle of cells: whether it is in the first column, and in the first row.
 _FIRST_COLUMN = 1
 _FIRST_ROW = 2
 
-# The rectangles of a ball's part and of an object's part may have several cells in common, but a
-# query should find the pair only once.  So the pair belongs to the first of these cells, which is
-# in the first column of either rectangle, and in the first row of either.  For this purpose each
-# cell has four lists.  A part of an object is in the list for the flags of the cell in its
-# rectangle: list 0 for "first row only", 1 for "first column and first row", 2 for "first column
-# only", and 3 for neither.  With one list a cell, pictures of 100 and more objects take 1.3 to 1.5
-# times as long.
+# The rectangles of a ball's part and of an object's part may have several cells in common.  A query
+# finds the pair only in the first of these.  That cell is in the first column of at least one of
+# the two rectangles, and in the first row of at least one.  So each cell has four lists:
+#
+#     place of the cell        list that names the       lists that a query reads, if the
+#     in a rectangle           object with this place    ball's rectangle has this place
+#     elsewhere                3                         1
+#     only in first column     2                         0, 1
+#     only in first row        0                         1, 2
+#     in both                  1                         0, 1, 2, 3
+#
+# With one list a cell, pictures of 100 and more objects take 1.3 to 1.5 times as long.  The next
+# three tables have these rows, by the flags of the cell.
 _LIST_OF_FLAGS = np.array([3, 2, 0, 1])
-
-# A query reads consecutive lists of a cell, from the first up to but not including the last of
-# these two, by the flags of the cell in the rectangle of the ball's part.
 _LISTS_START = np.array([1, 0, 1, 0])
 _LISTS_STOP = np.array([2, 2, 3, 4])
 
