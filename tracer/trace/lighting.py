@@ -22,7 +22,7 @@ _FACE_AXES = NO_AXIS + 1
 
 
 class ChannelRadiance(NamedTuple):
-    """The radiance of hits in one colour channel, summed over the lights."""
+    """The radiance of hits in one color channel, summed over the lights."""
 
     channel: int  # 0 for red, 1 for green, 2 for blue
     diffuse: Shaped[Floats, "n"]
@@ -40,7 +40,7 @@ class Shading:
         self._hits = hits
         self._with_ids = with_ids
         self._is_glossy = hits.get_object_values(hits.scene.is_glossy)
-        # Sums over lights of I n.l and of I (n.h)^p in each colour channel.  The first is None
+        # Sums over lights of I n.l and of I (n.h)^p in each color channel.  The first is None
         # before the first light, and the second before the first highlight.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None

@@ -2,7 +2,7 @@
 
 Testing every object for every hit and every light would take too long.  So neighbouring hits on one
 object form a *packet*, with a bounding sphere.  The segments from the hits of a packet to a light
-lie in a capsule: around the segment from the centre of the sphere to the light, with the radius of
+lie in a capsule: around the segment from the center of the sphere to the light, with the radius of
 the sphere (Haines and Wallace, Shaft culling, 1991).
 
 - An object that misses the capsule shades no hit of the packet.
@@ -298,7 +298,7 @@ def _encode_squares(
 def _compute_bounding_spheres(
     hits: Hits, first_hit: Shaped[Ints, "packets"]
 ) -> tuple[Shaped[Floats, "3 packets"], Shaped[Floats, "packets"]]:
-    """Compute the centre, in scene axes, and the radius of a bounding sphere for each row packet.
+    """Compute the center, in scene axes, and the radius of a bounding sphere for each row packet.
 
     Packet i contains the hits from first_hit[i] up to, but not including, first_hit[i + 1].
     """
