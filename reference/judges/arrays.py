@@ -38,6 +38,7 @@ def add_at_sorted_index(
     `index` must be sorted in ascending order, and may contain duplicates.  All values with the same
     index are added, whereas ``totals[..., index] += values`` would add only the last one.
     """
+    # Equal indices are adjacent.  Sum the values from each first one to the next.
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
     totals[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
 
@@ -47,8 +48,8 @@ def list_segment_elements(
 ) -> tuple[Shaped[Ints, "m"], Shaped[Ints, "m"]]:
     """List the elements of several segments of an array, segment by segment.
 
-    Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1.  Return the index of
-    the segment, and the index of the element in the array.
+    Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1.  For each element of a
+    segment, return the index of the segment, and the index of the element in the array.
     """
     segment_index = np.arange(lengths.size).repeat(lengths)
     # Position of a segment's first element in the result, minus its index in the array.
@@ -63,5 +64,6 @@ def find_in_sorted(
 
     No number may be negative.
     """
+    # A number larger than all in the array gets the position of the appended -1.
     position = sorted_numbers.searchsorted(wanted_numbers)
     return np.where(np.append(sorted_numbers, -1)[position] == wanted_numbers, position, -1)

@@ -1,6 +1,6 @@
 """List the faces that may be visible in cells of the picture, and the objects that may shade them.
 
-The problem: the certificate must know every face that may be visible in a small part of the
+The certificate (see `certificate`) must know every face that may be visible in a small part of the
 picture, and every object that may shade such a face, without testing all combinations.  As in
 Warnock's subdivision (A hidden surface algorithm for computer generated halftone pictures, 1969),
 large cells are divided into quarters.  Each quarter inherits the lists of the larger cell, and
@@ -34,7 +34,10 @@ from reference.judges.certified_scene import CertifiedScene
 from reference.judges.enclosures import Enclosures
 
 MAX_WIDTH = 8
-"""Maximum width of cells that have triples and can be finished whole, in pixels; a power of two."""
+"""Maximum width in pixels of cells that have triples, and that can be finished undivided.
+
+It is a power of two.
+"""
 
 
 class Cells(NamedTuple):
@@ -64,30 +67,33 @@ class Cells(NamedTuple):
     ) -> tuple[Cells, Shaped[Ints, "pairs"]]:
         """Copy all cells, but only the selected pairs and their triples.
 
-        Return also the index in the copy of each pair, or -1 if the pair is not selected.
+        Return also the index of each pair in the copy; -1 if the pair is not selected.
         """
-        new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
+        new_index = _renumber(is_selected)
         pair_fields = "cell_index", "face_index", "covers_cell", "is_settled", "radiance"
         fields: dict[str, Any] = {name: getattr(self, name)[is_selected] for name in pair_fields}
-        triples = np.array([new_index[self.shadow_triples[0]], *self.shadow_triples[1:]])
+        old_pair_index, light_index, object_index = self.shadow_triples
+        pair_index = new_index[old_pair_index]
+        triples = np.array([pair_index, light_index, object_index])
         cells = self._replace(**fields, shadow_triples=triples)
-        return cells.select_triples(cells.shadow_triples[0] >= 0), new_index
+        return cells.select_triples(pair_index >= 0), new_index
 
     def select_cells(self, is_selected: Shaped[Bools, "cells"]) -> Cells:
         """Copy the selected cells with all their pairs and triples."""
-        new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
-        cell_index = new_index[self.cell_index]
+        cell_index = _renumber(is_selected)[self.cell_index]
         cells = self._replace(x=self.x[is_selected], y=self.y[is_selected], cell_index=cell_index)
         return cells.select_pairs(cell_index >= 0)[0]
 
     def list_combined_pairs(self) -> Shaped[Ints, "2 n"]:
-        """List the indices of two pairs of the same cell, for all such combinations, each once."""
+        """List all combinations of two pairs of the same cell, each once, by their indices."""
+        # A position is an index into the pairs sorted by cell.
         sorted_index = np.argsort(self.cell_index, kind="stable")
         sorted_cell_index = self.cell_index[sorted_index]
         cell_start = sorted_cell_index.searchsorted(sorted_cell_index)
         # Combine each pair with all earlier pairs of its cell.
-        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
-        return np.asarray(sorted_index[np.array(positions)])
+        earlier_count = np.arange(sorted_index.size) - cell_start
+        later_position, earlier_position = list_segment_elements(earlier_count, cell_start)
+        return np.array([sorted_index[later_position], sorted_index[earlier_position]])
 
     @property
     def area(self) -> float:
@@ -101,7 +107,8 @@ class Cells(NamedTuple):
         Quarters outside the picture are dropped.
         """
         quarter_index = np.arange(4)
-        is_right, is_lower = quarter_index & 1, quarter_index >> 1
+        is_right = quarter_index & 1
+        is_lower = quarter_index >> 1
         half_width = self.width / 4  # of a quarter
         x = np.add.outer(self.x, (2 * is_right - 1) * half_width).ravel()
         y = np.add.outer(self.y, (2 * is_lower - 1) * half_width).ravel()
@@ -121,6 +128,11 @@ class Cells(NamedTuple):
         )
         is_inside = (x - half_width < picture_width) & (y - half_width < picture_height)
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
+
+
+def _renumber(is_selected: Shaped[Bools, "n"]) -> Shaped[Ints, "n"]:
+    """Number the selected elements from 0 in their order; the others get -1."""
+    return np.where(is_selected, is_selected.cumsum() - 1, -1)
 
 
 class Contributions(NamedTuple):

@@ -1,8 +1,11 @@
 """Decide by exact arithmetic which of two pictures is wrong: the tracer's or Mitsuba's.
 
-The pixels in which the pictures differ are traced in decimal arithmetic (see `plain`).  Where
-surfaces coincide, the tracer must show the one that comes first in the scene file, but Mitsuba may
-also show the last.  A pixel that is right in both pictures is a *tie*.
+The pixels in which the pictures differ are traced in decimal arithmetic (see `plain`).  A pixel is
+*right* if its radiance is exact within a tolerance.  A pixel that is right in both pictures is a
+*tie*.  There are ties for two reasons.  Where surfaces coincide, the tracer must show the one that
+comes first in the scene file, but Mitsuba may also show the last.  And beside an edge, rounding may
+decide on which side of it a sample lies.  So a pixel is also right if it is right in a scene so
+similar that float64 may be unable to tell the two apart.
 """
 
 from __future__ import annotations
@@ -34,8 +37,7 @@ class JudgedPixels(NamedTuple):
     """Masks of the pixels that exact arithmetic has judged."""
 
     is_tie: Shaped[Bools, "height width"]  # right in both pictures
-    # Examined pixels that are no ties.  They are all in the last batch.
-    is_examined: Shaped[Bools, "height width"]
+    is_examined: Shaped[Bools, "height width"]  # wrong in at least one of the pictures
     is_wrong: Shaped[Bools, "height width"]  # wrong in the tracer's picture
 
 
@@ -48,12 +50,13 @@ def judge_differing_pixels(
 ) -> JudgedPixels:
     """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
-    Pixels are examined in batches, until a batch contains one that is not a tie.
+    Pixels are judged in batches, until a batch contains one that is not a tie.  In the masks that
+    are returned, all other pixels are False.
 
     Parameters
     ----------
     is_different
-        Whether the pictures differ in a pixel.  Only such pixels are examined.
+        Whether the pictures differ in a pixel.  Only such pixels are judged.
     tolerance
         Maximum error of a channel's radiance that counts as right.
     """
@@ -63,9 +66,8 @@ def judge_differing_pixels(
     for batch_index in range(batch_count):
         rows, columns = positions[batch_index::batch_count].T
         radiance = np.stack([tracer_image[rows, columns], mitsuba_image[rows, columns]])
-        tracer_is_right, mitsuba_is_right = _find_right_pixels(
-            scene, columns + 0.5, rows + 0.5, radiance, tolerance
-        )
+        x, y = columns + 0.5, rows + 0.5  # the centres of the pixels
+        tracer_is_right, mitsuba_is_right = _find_right_pixels(scene, x, y, radiance, tolerance)
         is_batch_tie = tracer_is_right & mitsuba_is_right
         is_tie[rows, columns] = is_batch_tie
         if not is_batch_tie.all():
@@ -84,9 +86,9 @@ def _find_right_pixels(
 ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
     """Find out where the tracer's and where Mitsuba's radiance is right, in exact arithmetic.
 
-    The rows of `radiance` are those of the tracer and of Mitsuba, at the positions (x, y) in the
-    picture.  A radiance is right if it is exact within the tolerance for the scene, or for a scene
-    so similar that float64 may be unable to tell the two apart.
+    `radiance` is first the tracer's and then Mitsuba's, at the positions (x, y) in the picture.  It
+    is right if it is exact within the tolerance for the scene or for one of the similar scenes.
+    Once the tracer is right at all positions, no more scenes are tried.
     """
     tracer_is_right, mitsuba_is_right = np.zeros((2, x.size), dtype=np.bool_)
     for similar_scene, shift in _generate_similar_scenes(scene):
@@ -105,14 +107,15 @@ def _find_right_pixels(
 def _is_close(
     rays: plain.TracedRays, radiance: Shaped[Floats, "2 n 3"], tolerance: float
 ) -> Shaped[Bools, "2 n"]:
-    """Test whether each radiance is that of the rays within the tolerance, in all channels."""
+    """Test whether each radiance equals that of its ray within the tolerance, in all channels."""
     return np.asarray(np.abs(radiance - rays.radiance).max(axis=2) <= tolerance)
 
 
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
     """Yield a scene, and variations so similar that float64 may be unable to tell them apart.
 
-    Yield with each scene the distance in pixels by which to shift its samples right and down.
+    Yield with each scene the distance in pixels by which to shift its samples right and down.  In
+    some variations, only the samples are shifted; in others, all spheres are smaller or larger.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift

@@ -1,8 +1,12 @@
 """Functions of the direction of a camera ray, whose zeros may be edges of the picture.
 
-Every function is about a *pair*: a face that may be visible in a cell (see `cells`).  It has the
-form smooth_part + root_factor * root_term, where the root term belongs to the pair (see
-`cell_analysis`).  The parts are known only as polynomials with error bounds (see `enclosures`).
+Every function is about a *pair*: a face that may be visible in a cell of the picture (see `cells`).
+It is evaluated where a camera ray in the cell meets the face, and has the form
+
+    smooth_part + root_factor * root_term,
+
+where the root term, a square root, is the same for all functions of the pair (see `cell_analysis`).
+The parts are known only as polynomials with error bounds (see `enclosures`).
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from reference.judges.vectors import compute_cross_product, compute_squared_leng
 
 
 class RayFunctions(NamedTuple):
-    """Functions of the camera ray, each about one pair: a face in a cell of the picture."""
+    """Functions smooth_part + root_factor * root_term of the camera ray, each about one pair."""
 
     pair_index: Shaped[Ints, "n"]
     smooth_part: Enclosures  # (8, n)
@@ -30,10 +34,11 @@ class RayFunctions(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """A condition for each of some claims, which holds where a function is positive.
+    """Functions that are positive where claims may be true.
 
-    A *claim* is a statement about a pair, such as "the face covers the cell".  It is true where all
-    its conditions hold.
+    A *claim* is a statement about a pair, such as "the ray hits the face".  There may be several
+    conditions for a claim.  It is true for the rays for which the functions of all its conditions
+    are positive.
     """
 
     claim_index: Shaped[Ints, "n"]  # the claim to which each function belongs
@@ -43,7 +48,7 @@ class Condition(NamedTuple):
 
 
 class EdgeFunctions(NamedTuple):
-    """Functions that are zero wherever the picture has an edge."""
+    """Functions, each of which is zero at all points of one edge of the picture."""
 
     pair_index: Shaped[Ints, "n"]
     # Index of the light that is cut off at the edge, or -1 if the visible face changes there.
@@ -79,19 +84,22 @@ def enclose_cone(
     shifted_points: Shaped[Floats, "3 3 n"],
     sizes: tuple[Shaped[Floats, "n"] | float, Shaped[Floats, "n"] | float],
 ) -> Cone:
-    """Enclose a function that is positive at points inside the cone around a sphere.
+    """Enclose, for each sphere, a function that is positive at points inside a cone around it.
 
     The cone consists of all lines that contain its apex and meet the sphere.  Let c be the sphere's
     centre and q a point, both relative to the apex, and let r be the radius.  The line from the
-    apex through q has the distance |c x q| / |q| from the centre.  So the function is
-    r^2 |q|^2 - |c x q|^2.
+    apex through q has the distance |c x q| / |q| from the centre, and meets the sphere if this is
+    at most r.  So the function is r^2 |q|^2 - |c x q|^2.
 
     Parameters
     ----------
+    center, radius
+        The spheres, relative to the apex.
     points
-        The points q.  The second axis holds their coefficients of 1, X and Y (see `vectors`).
+        The points q.  They are linear in X and Y: the first axis holds the components, and the
+        second the coefficients of 1, X and Y (see `vectors`).
     shifted_points
-        Each q plus a multiple of c, from which c x q can be computed with less rounding error.
+        Each q plus a multiple of c, so that c x q is the same, but has a smaller rounding error.
     sizes
         Upper bounds on the absolute values of the terms of `points` and of `shifted_points`.
     """

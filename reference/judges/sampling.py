@@ -23,6 +23,7 @@ def render_supersampled(scene: Scene, grid_side: int) -> Shaped[Floats, "height 
 
     The samples are the pixels of a picture that is `grid_side` times as wide and high.
     """
-    samples = render(replace(scene, width=scene.width * grid_side, height=scene.height * grid_side))
-    samples_by_pixel = samples.reshape(scene.height, grid_side, scene.width, grid_side, 3)
+    width, height = scene.width, scene.height
+    samples = render(replace(scene, width=width * grid_side, height=height * grid_side))
+    samples_by_pixel = samples.reshape(height, grid_side, width, grid_side, 3)
     return np.asarray(samples_by_pixel.mean(axis=(1, 3)))

@@ -10,7 +10,10 @@ with error bounds (see `enclosures`) enclose n.l, n.h and the radiance.
 
 Positions are relative to the eye.  The camera ray with direction d meets the face at p = t d, and
 the light is at q.  All lengths are divided by t, because 1 / t has a narrow enclosure (see
-`cell_analysis`).  Pairs, settled lights and triples are defined in `cells`.
+`cell_analysis`).
+
+A *pair* is a face that may be visible in a cell.  A light is *settled* for a pair if it is known to
+reach all of the face in the cell, or none of it (see `cells`).
 """
 
 from __future__ import annotations
@@ -33,27 +36,40 @@ _MIN_SQUARE = 1e-300
 def shade(
     analysis: CellAnalysis, is_requested: Shaped[Bools, "pairs"], permitted_error: float
 ) -> Contributions:
-    """Bound the radiance that lights add to pairs, which are faces in cells of the picture.
+    """Bound the radiance that requested pairs reflect from each light, and settle lights.
 
-    A light becomes settled for a pair if no terminator or shadow edge of the light can cross the
-    cell, and if the error of its radiance in each channel is at most `permitted_error` divided by
-    the number of lights.  Its radiance is then added to `analysis.cells.radiance`.  The result has
-    the radiance of the lights that remain unsettled, for the requested pairs.
+    The radiance of a light that becomes settled is added to `analysis.cells.radiance`.  The
+    radiance of the lights that remain unsettled is returned.
+
+    A light becomes settled for a pair if none of its shadow edges and terminators (borders between
+    the lit and the dark side of a face) can cross the cell, and if the error of its radiance in
+    each channel is at most `permitted_error` divided by the number of lights.
     """
-    contributions = _enclose_contributions(analysis, is_requested)
     cells = analysis.cells
-    has_edge = np.zeros_like(cells.is_settled)
-    has_edge[cells.shadow_triples[0], cells.shadow_triples[1]] = True
-    for pair_index, light_index, _ in analysis.edges:
-        is_of_light = light_index >= 0
-        has_edge[pair_index[is_of_light], light_index[is_of_light]] = True
+    contributions = _enclose_contributions(analysis, is_requested)
     max_light_error = permitted_error / cells.is_settled.shape[1]
-    is_newly_settled = ~has_edge[contributions.pair_index, contributions.light_index]
-    is_newly_settled &= contributions.radiance.max_deviation.max(axis=0) <= max_light_error
+    is_accurate = contributions.radiance.max_deviation.max(axis=0) <= max_light_error
+    may_have_edge = _find_lights_with_edges(analysis)
+    has_edge = may_have_edge[contributions.pair_index, contributions.light_index]
+    is_newly_settled = is_accurate & ~has_edge
     pair_index, light_index, radiance = contributions.select(is_newly_settled)
     add_at_sorted_index(cells.radiance.coefficients, pair_index, radiance.coefficients)
     cells.is_settled[pair_index, light_index] = True
     return contributions.select(~is_newly_settled)
+
+
+def _find_lights_with_edges(analysis: CellAnalysis) -> Shaped[Bools, "pairs lights"]:
+    """Find for each pair the lights that may reach only a part of the face in the cell.
+
+    They are lights that an object may block, and lights with an edge in the cell.
+    """
+    has_edge = np.zeros_like(analysis.cells.is_settled)
+    pair_index, light_index, _ = analysis.cells.shadow_triples
+    has_edge[pair_index, light_index] = True
+    for pair_index, light_index, _ in analysis.edges:
+        is_of_light = light_index >= 0  # -1: the visible face changes at the edge
+        has_edge[pair_index[is_of_light], light_index[is_of_light]] = True
+    return has_edge
 
 
 def _enclose_contributions(
@@ -61,8 +77,8 @@ def _enclose_contributions(
 ) -> Contributions:
     """Enclose the radiance that requested pairs reflect from each light that is not settled.
 
-    The result is sorted by pair and light.  It is the radiance where the light reaches the face,
-    because whether an object blocks the light is not tested.
+    The result is sorted by pair and light.  Whether an object blocks the light is not tested: it is
+    the radiance wherever the light reaches the face.
     """
     faces, cells, lights = analysis.faces, analysis.cells, analysis.scene.lights
     scene = analysis.scene.prepared_scene
@@ -85,7 +101,7 @@ def _enclose_contributions(
 
 
 class _LightTerms(NamedTuple):
-    """Enclosures (8, n) of terms that depend on a light and on the point that the eye sees."""
+    """Enclosures (8, n) of terms that depend on one light and on the point that the eye sees."""
 
     n_dot_l: Enclosures  # in [0, 1]
     inverse_light_distance: Enclosures  # of t / |q - p|
@@ -98,11 +114,12 @@ class _LightTerms(NamedTuple):
 def _enclose_light_terms(
     analysis: CellAnalysis, pair_index: Shaped[Ints, "n"], light_index: Shaped[Ints, "n"]
 ) -> _LightTerms:
-    """Enclose the terms for pairs with one light each, which have the given indices."""
+    """Enclose the terms of n combinations of a pair and a light, which have the given indices."""
     cell_index = analysis.cells.cell_index[pair_index]
     position = analysis.scene.lights.from_eye[light_index].T
     squared_ray_length = analysis.squared_ray_length[cell_index]
-    # Divided by t^2, |q - p|^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) is d^2 - q.d / t.
+    # With p = t d, |q - p|^2 / t^2 = d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) / t^2 =
+    # d^2 - q.d / t.
     q_dot_d = analysis.dot_with_rays(position, cell_index)
     q_dot_d_over_t = analysis.inverse_distance[pair_index] * q_dot_d
     squared_inverse_distance = (analysis.inverse_distance * analysis.inverse_distance)[pair_index]
@@ -125,7 +142,8 @@ def _enclose_n_dot_h(
 ) -> Enclosures:
     """Enclose n.h (8, n), which is (n.l + n.v) / |l + v|, where |l + v|^2 = 2 + 2 l.v.
 
-    `terms` are those of the pairs with one light each.  A pair may occur with several lights.
+    `terms` are the terms of n combinations of a pair and a light.  `pair_index` names their pairs,
+    which may occur several times, with several lights.
     """
     cell_index = analysis.cells.cell_index
     distinct_pair_index, pair_number = np.unique(pair_index, return_inverse=True)

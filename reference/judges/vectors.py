@@ -18,8 +18,10 @@ _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 
 
 def compute_squared_length(vectors: Shaped[Floats, "3 3 n"]) -> Shaped[Floats, "6 n"]:
-    """Compute squared lengths as coefficients of 1, X, Y, X^2, X Y and Y^2."""
-    # This yields the pairs of coefficients in the same order: 1 1, 1 X, 1 Y, X X, X Y and Y Y.
+    """Compute the squared length of each vector, as coefficients of 1, X, Y, X^2, X Y and Y^2."""
+    # The coefficients of a vector are themselves vectors: a constant, one times X, and one times Y.
+    # Their pairs come in this order: 1 1, 1 X, 1 Y, X X, X Y and Y Y.  A product of two different
+    # coefficients occurs twice in the square.
     pairs = combinations_with_replacement(vectors.swapaxes(0, 1), 2)
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in pairs])
 
@@ -29,7 +31,7 @@ def compute_cross_product(
 ) -> Shaped[Floats, "3 k n"]:
     """Compute the cross products of constant vectors with vectors that depend on X and Y.
 
-    Each component of a product has as many coefficients as one of the second vector: k.
+    The second axis of `vectors` and of the result holds k coefficients of each component.
     """
     first_factor = constant_vectors[:, None]
     return first_factor[_YZX] * vectors[_ZXY] - first_factor[_ZXY] * vectors[_YZX]
