@@ -70,15 +70,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     mode = _RENDERING if options.render else _CONVERSION
     flavour = options.flavour or mode.default_flavour
-    flavour_suffix = "" if flavour == mode.default_flavour else f".{flavour}"
     scene_paths = skip_converted_scenes(options.scenes)
-    # A path such as / has no name, but is accepted here: reading it fails with a clear message.
-    default_paths = [
-        str(path.parent / f"{path.stem}{flavour_suffix}{mode.suffix}") for path in scene_paths
-    ]
-    scenes = [*map(str, scene_paths)]
     output_paths = choose_output_paths(
-        parser, scenes, options.output, default_paths, mode.list_files
+        parser,
+        [*map(str, scene_paths)],
+        options.output,
+        [mode.derive_output_path(path, flavour) for path in scene_paths],
+        mode.list_files,
     )
     if options.render:
         set_up_mitsuba(options.variant)
@@ -114,10 +112,10 @@ def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
     """Convert errors in a with block that converts or renders a scene to a `Failure`.
 
-    The message is "PATH: cannot be PARTICIPLE: reason", where `path` is that of the scene file, and
-    the participle is, for example, "rendered".  For a `ConversionError`, it is "converted".  Other
-    errors that are converted are OSError, MemoryError, ImportError, RuntimeError and ValueError,
-    because Mitsuba raises all of them.
+    The message is "PATH: cannot be PARTICIPLE: reason".  PATH is the path of the scene file, and
+    the participle is, for example, "rendered".  After a `ConversionError`, it is "converted".  The
+    other errors are OSError, MemoryError, ImportError, RuntimeError and ValueError, because Mitsuba
+    raises all of them.
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -127,25 +125,32 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Return the given paths without those of converted scenes, for which a line is printed.
+    """Return the paths of scene files, and print a line for each file that is a converted scene.
 
     Naming a converted scene is no error, because the pattern *.xml matches converted scenes and
-    original ones.  The path of a file that cannot be read is kept, because the caller reads the
-    file again and reports the error.
+    original ones.
     """
     kept_paths = []
     for path in paths:
-        first_bytes = b""
-        with suppress(OSError, ValueError):
-            if Path(path).is_file():
-                with Path(path).open("rb") as file:
-                    first_bytes = file.read(len(FILE_START))
-        if first_bytes == FILE_START.encode():
+        if _is_converted_scene(Path(path)):
             notice = f"{path}: skipped, because it is a converted scene"
             print_line(sys.stdout, make_printable(notice))
         else:
             kept_paths.append(Path(path))
     return kept_paths
+
+
+def _is_converted_scene(path: Path) -> bool:
+    """Test whether a file begins like every Mitsuba scene that this command writes.
+
+    The result is False if the file cannot be read: the caller reads it again and reports the error.
+    """
+    start = FILE_START.encode()
+    with suppress(OSError, ValueError):
+        if path.is_file():  # opening a pipe may block for ever
+            with path.open("rb") as file:
+                return file.read(len(start)) == start
+    return False
 
 
 def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
@@ -243,6 +248,15 @@ class _Mode(NamedTuple):
     list_files: Callable[[str], tuple[Path, ...]]
     # Takes the path of the scene, the output path, the flavour and the options.
     process_scene: Callable[[Path, Path, str, argparse.Namespace], None]
+
+    def derive_output_path(self, scene_path: Path, flavour: str) -> str:
+        """Return the output path for a scene if -o is not given: a file beside the scene file.
+
+        Its name contains the flavour if that is not the default.  A path such as / has no name, but
+        is accepted here: reading it fails with a clear message.
+        """
+        flavour_suffix = "" if flavour == self.default_flavour else f".{flavour}"
+        return str(scene_path.parent / f"{scene_path.stem}{flavour_suffix}{self.suffix}")
 
 
 _CONVERSION = _Mode(

@@ -342,7 +342,7 @@ class _Picture:
     cell_count: int  # number of cells examined so far
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
-        """Create a black picture; raise ValueError as `certify` does."""
+        """Create a black picture; raise ValueError if `CertifiedScene` refuses the scene."""
         self.scene = CertifiedScene(scene)
         self.permitted_error = permitted_error
         self.cell_count = 0
@@ -384,12 +384,15 @@ class _Picture:
         pixels_across = max(int(cells.width), 1)
         area = min(cells.width, 1) ** 2  # of the part of a cell in one pixel
         first_pixel_index = self.find_pixel_index(cells)[cell_index][:, None, None]
-        row, column = np.divmod(first_pixel_index, self.error_bound.shape[1])
-        row_offset, column_offset = np.indices((pixels_across, pixels_across))
-        pixels = row + row_offset, column + column_offset
+        first_row, first_column = np.divmod(first_pixel_index, self.error_bound.shape[1])
+        row, column = np.indices((pixels_across, pixels_across))  # in the cell
+        pixels = first_row + row, first_column + column
         # X and Y run from -1 to 1 in a cell.  Compute the means of 1, X, Y, X^2, X Y and Y^2 over
-        # each pixel of a cell, or over the whole cell if it is smaller than a pixel.
-        x, y = ((2 * position + 1) / pixels_across - 1 for position in (column_offset, row_offset))
+        # each pixel of a cell, or over the whole cell if it is smaller than a pixel.  The pixel has
+        # the centre (x, y) and the half width 1 / pixels_across, so the mean of X^2 is x^2 plus a
+        # third of the square of the half width.
+        x = (2 * column + 1) / pixels_across - 1
+        y = (2 * row + 1) / pixels_across - 1
         variance = 1 / (3 * pixels_across * pixels_across)
         term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for index, channel in enumerate(self.image):
@@ -409,24 +412,38 @@ class _Picture:
         analysis = CellAnalysis(self.scene, cells)
         cells = analysis.cells
         pair_count = np.bincount(cells.cell_index, minlength=cells.x.size)
-        is_pending = pair_count > 0  # cells without pairs are black
         is_only_pair = pair_count[cells.cell_index] == 1
         may_finish_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
         contributions = shade(analysis, may_finish_cell | (cells.width <= 1), settled_error)
-        # Cells of any size that show a single face, for which each light is settled.
-        pair_index = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
-        is_pending[cells.cell_index[pair_index]] = False
-        self.add_cells(cells, cells.cell_index[pair_index], cells.radiance[pair_index])
-        # Cells that are not larger than a pixel, with edges in them.
+        # Cells that show a single face, for which each light is settled.
+        finished_pair_index = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
+        finished_cell_index = cells.cell_index[finished_pair_index]
+        self.add_cells(cells, finished_cell_index, cells.radiance[finished_pair_index])
+        is_pending = pair_count > 0  # cells without pairs are black
+        is_pending[finished_cell_index] = False
         if cells.width <= 1:
-            estimates = estimate_means(analysis, contributions, ~is_pending)
-            is_final = self.find_final_cells(cells, estimates.error, is_pending)
-            finished_cell_index = np.flatnonzero(is_pending & is_final)
-            mean_radiance = enclose_constants(estimates.mean, estimates.error)
-            self.add_cells(cells, finished_cell_index, mean_radiance[finished_cell_index])
-            is_pending[finished_cell_index] = False
+            is_pending &= ~self._add_cells_with_edges(analysis, contributions, is_pending)
         return cells.select_cells(is_pending)
+
+    def _add_cells_with_edges(
+        self,
+        analysis: CellAnalysis,
+        contributions: Contributions,
+        is_pending: Shaped[Bools, "cells"],
+    ) -> Shaped[Bools, "cells"]:
+        """Add those pending cells that `find_final_cells` selects, and return which these are.
+
+        No cell may be larger than a pixel.  The mean radiance of a cell is estimated from samples
+        in it (see `estimate_means`).
+        """
+        cells = analysis.cells
+        estimates = estimate_means(analysis, contributions, ~is_pending)
+        is_final = is_pending & self.find_final_cells(cells, estimates.error, is_pending)
+        cell_index = np.flatnonzero(is_final)
+        mean_radiance = enclose_constants(estimates.mean, estimates.error)
+        self.add_cells(cells, cell_index, mean_radiance[cell_index])
+        return is_final
 
     def find_final_cells(
         self, cells: Cells, cell_error: Shaped[Floats, "cells"], is_pending: Shaped[Bools, "cells"]

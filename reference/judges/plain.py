@@ -1,9 +1,9 @@
 """Render scenes in the plainest way: test every ray against every object.  Read this module first.
 
-The problem: what exactly should a picture look like?  This renderer answers without any code of the
-tracer except the description of the scene, so that the two can be compared.  All formulas of the
-format are repeated here on purpose: a reference that shares code with what it validates would
-repeat its errors.
+What exactly should a picture look like?  This renderer answers without any code of the tracer
+except the description of the scene, so that the two can be compared.  All formulas of the format
+are repeated here on purpose: a reference that shares code with what it validates would repeat its
+errors.
 
 `render` makes a picture, and `trace` traces single rays.  The number type can be chosen:
 
@@ -426,7 +426,9 @@ class _PlainTracer:
         direction_length = _norm(direction)
         closest_surface_index = np.full(direction.shape[1], -1)
         closest_t = self.to_precision(np.full(direction.shape[1], np.inf))
-        for surface_index in range(len(self.shapes))[:: -1 if self.last_wins_ties else 1]:
+        # Of surfaces at the same t, the first one in this order remains the closest.
+        surface_indices = range(len(self.shapes))
+        for surface_index in reversed(surface_indices) if self.last_wins_ties else surface_indices:
             near, far = self.intersect(surface_index, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[surface_index] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
@@ -510,8 +512,8 @@ class _PlainTracer:
     ) -> Shaped[NDArray[np.bool_], "n"]:
         """Test whether a surface blocks the segment from each point to a light.
 
-        Intersections at the ends of the segment do not count, nor those so close to the point that
-        the shadow method ignores them.
+        Intersections at the ends of the segment do not count.  Neither do intersections so close to
+        the point that the shadow method ignores them.
         """
         distance = _norm(light - points)
         direction = (light - points) / distance
@@ -529,15 +531,16 @@ class _PlainTracer:
             # One intersection is known exactly if the light or the point is on the sphere.  The
             # other follows from symmetry: t = middle_t is halfway between them.
             middle_t = _dot(self.shapes[surface_index][0] - points, direction)
-            blocks_light_on_sphere = is_between(2 * middle_t - distance)
             is_light_on_sphere = self.compute_signed_distance(surface_index, light) == 0
+            blocks_light_on_sphere = is_between(2 * middle_t - distance)
             is_blocked = np.where(is_light_on_sphere, blocks_light_on_sphere, is_blocked)
+            is_point_on_sphere = self.compute_signed_distance(surface_index, points) == 0
             # A segment from a point on the sphere is blocked if it starts on the side hidden from
             # the eye, or if it meets the sphere again.
-            blocks_point_on_sphere = middle_t > self.tolerance
             if self.is_eye_inside[surface_index]:
                 blocks_point_on_sphere = (middle_t < -self.tolerance) | is_between(2 * middle_t)
-            is_point_on_sphere = self.compute_signed_distance(surface_index, points) == 0
+            else:
+                blocks_point_on_sphere = middle_t > self.tolerance
             is_blocked = np.where(is_point_on_sphere, blocks_point_on_sphere, is_blocked)
         return np.asarray(is_blocked)
 
