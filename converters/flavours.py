@@ -3,8 +3,9 @@
 In the *exact* flavour, this project's own plugins (`converters.plugins`) compute the same picture
 as the tracer.  In the *stock* flavour, Mitsuba's built-in plugins approximate that picture.
 
-A Mitsuba scene consists of plugins, and each part of a scene (camera, light, shader, surface)
-becomes one of them, as an XML element.  To suit float32, all points and lengths are translated and
+A Mitsuba scene consists of plugins.  Each part of a scene (camera, light, shader, surface) becomes
+one plugin, which is an XML element.  A shader becomes a BSDF, the plugin that says how a surface
+reflects light.  Mitsuba computes with float32, so all points and lengths are first translated and
 scaled by a `Normalization`.  Every function that creates an element raises `ConversionError` if
 Mitsuba cannot represent a number.
 """
@@ -45,21 +46,20 @@ _SCENE_SIZE = 10.0
 # float32 (2^-24) of the largest length in the scene.
 _TOLERANCE_ROUNDINGS = 32
 
-# A stock scene keeps its coordinates if its visible part is neither too small, nor too large, nor
-# too far from the origin.  The size of this part is the longest edge of its bounding box.  These
-# are the smallest and the largest size, in the scene's unit of length, ...
+# A stock scene keeps its coordinates if the size of its visible part, which is the longest edge of
+# the bounding box, is between these numbers of the scene's units of length.
 _MIN_KEPT_SIZE = 0.1
 _MAX_KEPT_SIZE = 1e6
-# ... and the largest coordinate of the centre of this part, as a multiple of the size.
+
+# It keeps them only if no coordinate of the box's centre is more than this multiple of the size.
 _MAX_KEPT_DISTANCE = 10.0
 
-# Maximum radius of a sphere in a stock scene, in Mitsuba's units.  Hits on it have an error of 1e-7
-# of the radius, and Mitsuba starts shadow rays 1e-4 above the surface.  A scene with larger spheres
-# is scaled down.
+# A stock scene with spheres of more than this radius, in Mitsuba's units, is scaled down.  Hits on
+# a sphere have an error of 1e-7 of its radius, but shadow rays start only 1e-4 above the surface.
 _MAX_RADIUS = 300.0
 
-# Such a scene is not scaled by a smaller factor than this, because shadow rays, which start 1e-4
-# above a surface, would then start above its small objects.
+# Minimum factor by which a scene with larger spheres is scaled.  With a smaller one, shadow rays,
+# which start 1e-4 above a surface, would start above small objects.
 _MIN_SHRINK_FACTOR = 1e-4
 
 # Half the thickness that a flat box gets, relative to the largest coordinate in the scene.
@@ -244,19 +244,27 @@ def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
     elements = [
         make_plugin("integrator", "every_light", tolerance=tolerance),
         _make_exact_sensor(scene, normalization, samples),
+        *(_convert_light_exactly(light, normalization) for light in scene.lights),
+        *(_convert_shader_exactly(shader, name) for name, shader in shader_of_name.items()),
+        *_convert_surfaces(scene.surfaces, normalization, bsdf_names),
     ]
-    for light in scene.lights:
-        position = make_vector("point", "position", normalization(np.array(light.position)))
-        intensity = make_vector("vector", "intensity", light.intensity)
-        elements.append(make_plugin("emitter", "unattenuated_point", position, intensity))
-    for name, shader in shader_of_name.items():
-        phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-        bsdf = make_plugin("bsdf", "blinn_phong", name=name, exponent=phong.exponent)
-        bsdf.append(make_vector("vector", "diffuse", phong.diffuse))
-        bsdf.append(make_vector("vector", "specular", phong.specular))
-        elements.append(bsdf)
-    elements += _convert_surfaces(scene.surfaces, normalization, bsdf_names)
     return Document(_EXACT_COMMENT.format(normalization=normalization), elements)
+
+
+def _convert_light_exactly(light: PointLight, normalization: Normalization) -> Element:
+    """Convert a light to this project's plugin `converters.plugins.UnattenuatedPoint`."""
+    position = make_vector("point", "position", normalization(np.array(light.position)))
+    intensity = make_vector("vector", "intensity", light.intensity)
+    return make_plugin("emitter", "unattenuated_point", position, intensity)
+
+
+def _convert_shader_exactly(shader: Shader, name: str) -> Element:
+    """Convert a shader to this project's plugin `converters.plugins.BlinnPhong`, with a name."""
+    phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
+    diffuse = make_vector("vector", "diffuse", phong.diffuse)
+    specular = make_vector("vector", "specular", phong.specular)
+    parameters = {"exponent": phong.exponent}
+    return make_plugin("bsdf", "blinn_phong", diffuse, specular, name=name, **parameters)
 
 
 def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
@@ -348,6 +356,7 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
         *(_convert_shader(shader, name, divisor) for name, shader in shader_of_name.items()),
         *_convert_surfaces(scene.surfaces, normalization, bsdf_names),
     ]
+    # What the comment of the file says depends on the scene.
     notes = ""
     if square_scene.height != scene.height:
         notes += _SQUARE_PIXELS_NOTE.format(scene.width, square_scene.height, scene.height)
@@ -361,9 +370,9 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
 def _round_up_samples(min_samples: int, light_count: int) -> int:
     """Round the number of samples per pixel up, so that each light can get the same number of them.
 
-    The result is a multiple of the number of lights, and of its own square root, rounded down, as
-    Mitsuba's sampler "multijitter" requires.  If there are no lights, or more lights than samples,
-    the result is `min_samples`.
+    The result is a multiple of the number of lights.  It is also a multiple of its own square root,
+    rounded down, because Mitsuba's sampler "multijitter" requires that.  If there are no lights, or
+    more lights than samples, the result is `min_samples`.
     """
     samples = min_samples
     while 0 < light_count <= min_samples and (samples % light_count or samples % isqrt(samples)):
@@ -422,10 +431,13 @@ def _convert_light(
     This distance minimises the sum of the squared errors of the irradiance at `visible_points`.
     The intensity is multiplied by `divisor`, by which all reflectances are divided.
     """
+    # If the light is exact at the distance b, its strength at the distance d is b^2 f, with the
+    # falloff f = 1 / d^2, and should be 1.  The sum of (b^2 f - 1)^2 over all points is least for
+    # b^2 = sum(f) / sum(f^2).
     position = normalization(np.array(light.position))
     squared_distances = ((normalization(visible_points) - position) ** 2).sum(axis=1)
-    # Dividing by the largest square avoids overflow.  If all are 0, they are not divided.  The
-    # minimum of 1e-12 avoids division by 0.
+    # Divide by the largest square, unless it is 0, so that nothing overflows.  The minimum of 1e-12
+    # avoids division by 0.
     largest_square = float(squared_distances.max()) or 1.0
     falloff = 1 / np.maximum(squared_distances / largest_square, 1e-12)
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
@@ -449,17 +461,25 @@ def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
     return isinstance(shader, Phong) and any(shader.specular)
 
 
-def _compute_reflectances(shader: Shader) -> tuple[Shaped[Floats, "3"], Shaped[Floats, "3"]]:
-    """Compute the RGB reflectances of the diffuse and the Beckmann BSDF that represent a shader.
+class _Reflectances(NamedTuple):
+    """RGB reflectances of the two BSDFs that represent a shader in the stock flavour."""
+
+    diffuse: Shaped[Floats, "3"]
+    beckmann: Shaped[Floats, "3"]
+
+
+def _compute_reflectances(shader: Shader) -> _Reflectances:
+    """Compute the reflectances of the diffuse and the Beckmann BSDF that represent a shader.
 
     A shader with a highlight becomes a blend of the two.  Their reflectances are doubled, because
-    the blend halves both, so they may exceed 1.  Without a highlight, the second is black.
+    the blend halves both, so they may exceed 1.  Without a highlight, the Beckmann BSDF is black.
     """
     diffuse = np.array(shader.diffuse)
     if not _has_highlight(shader):
-        return diffuse, np.zeros(3)
+        return _Reflectances(diffuse=diffuse, beckmann=np.zeros(3))
     # The maximum of the Beckmann BSDF is its reflectance times (exponent + 2) / 8.
-    return 2 * diffuse, 2 * np.array(shader.specular) * 8 / (shader.exponent + 2)
+    beckmann = np.array(shader.specular) * 8 / (shader.exponent + 2)
+    return _Reflectances(diffuse=2 * diffuse, beckmann=2 * beckmann)
 
 
 def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
@@ -468,13 +488,14 @@ def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
     The BSDF is diffuse, or a blend of a diffuse and a Beckmann BSDF if the shader has a highlight.
     All reflectances are divided by `divisor`.
     """
-    diffuse, specular = _compute_reflectances(shader)
-    bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
+    reflectances = _compute_reflectances(shader)
+    diffuse_color = make_color("reflectance", reflectances.diffuse / divisor)
+    bsdf = make_plugin("bsdf", "diffuse", diffuse_color)
     if _has_highlight(shader):
         # With this roughness, the Beckmann lobe is as wide as the highlight.
         roughness = (2 / (shader.exponent + 2)) ** 0.5
-        color = make_color("specular_reflectance", specular / divisor)
-        lobe_options = {"material": "none", "distribution": "beckmann"}
-        lobe = make_plugin("bsdf", "roughconductor", color, **lobe_options, alpha=roughness)
+        specular_color = make_color("specular_reflectance", reflectances.beckmann / divisor)
+        options = {"material": "none", "distribution": "beckmann"}
+        lobe = make_plugin("bsdf", "roughconductor", specular_color, **options, alpha=roughness)
         bsdf = make_plugin("bsdf", "blendbsdf", bsdf, lobe, weight=0.5)
     return make_plugin("bsdf", "twosided", bsdf, name=name)

@@ -170,14 +170,16 @@ def count_wrong_codes(
     """
     lowest_codes = to_codes(certificate.low).astype(int)
     highest_codes = to_codes(certificate.high).astype(int)
+    # By how many levels a code is below the lowest or above the highest that is possible.
     deviation = np.maximum(np.maximum(lowest_codes - codes, codes - highest_codes), 0)
     wrong_count = int(np.count_nonzero(deviation))
     if not wrong_count:
         return Judgement(wrong_count=0, verdict="no code is certainly wrong")
     worst_index = np.unravel_index(deviation.argmax(), deviation.shape)
     row, column, channel = worst_index
-    code_limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
     position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst_index]}"
+    # One number if both limits are equal.
+    code_limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
     requirement = f"must be {' to '.join(map(str, code_limits))}"
     verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {deviation.max()}"
     return Judgement(wrong_count=wrong_count, verdict=f"{verdict}, {position} and {requirement}")

@@ -14,6 +14,7 @@ if __name__ == "__main__":
 import os
 from logging import CRITICAL
 from time import perf_counter
+from typing import NamedTuple
 
 from distributed import Client, LocalCluster
 
@@ -35,6 +36,31 @@ _FRAMES_PER_TASK = 100
 
 # Renderers whose whole CPU time can be measured: keys that `prepare_animation_commands` returns.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
+
+
+class _Measurements(NamedTuple):
+    """What was measured on one computer."""
+
+    frame_count: int  # number of frames that were rendered
+    size: tuple[int, int]  # width and height of a frame in pixels
+    cpu_seconds: dict[str, float]  # mean CPU time of a frame, by the name of the renderer
+    png_size: float  # mean size of the tracer's PNG files in bytes
+    seconds_per_task: float  # elapsed time of Dask's scheduler for a task
+
+
+def _measure(frame_count: int, size: tuple[int, int]) -> _Measurements:
+    """Render an animation with each renderer that is installed, and run tasks with Dask."""
+    commands = prepare_animation_commands(frame_count, size)
+    renderers = [name for name in _RENDERERS if name in commands]
+    cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
+    png_files = [build_path(f"frame-{frame_index}.xml.png") for frame_index in range(frame_count)]
+    return _Measurements(
+        frame_count=frame_count,
+        size=size,
+        cpu_seconds=cpu_seconds,
+        png_size=sum(path.stat().st_size for path in png_files) / frame_count,
+        seconds_per_task=_measure_seconds_per_task(50 * frame_count),
+    )
 
 
 def _measure_cpu_seconds(commands: list[list[str]]) -> float:
@@ -59,6 +85,20 @@ def _measure_seconds_per_task(task_count: int) -> float:
         return (perf_counter() - start_time) / task_count
 
 
+def _format_costs(measured: _Measurements) -> str:
+    """Format the section that says what the frames would cost with each renderer."""
+    width, height = measured.size
+    return format_section(
+        "What they would cost",
+        f"Measured with {measured.frame_count} frames of {width}×{height}, one sample per pixel:"
+        " CPU time for reading scenes, rendering and writing PNG files. POV-Ray starts anew for"
+        " each frame; the other programs start once. The price of a core is an assumption. The"
+        f" tracer's PNG files take {measured.png_size * _FRAME_COUNT / 1e9:,.0f} GB.",
+        ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
+        [_format_cost_row(name, seconds) for name, seconds in measured.cpu_seconds.items()],
+    )
+
+
 def _format_cost_row(name: str, seconds_per_frame: float) -> tuple[str, ...]:
     """Format a renderer's row of the table of costs, from its CPU time for a frame."""
     core_hours = seconds_per_frame * _FRAME_COUNT / 3600
@@ -66,45 +106,38 @@ def _format_cost_row(name: str, seconds_per_frame: float) -> tuple[str, ...]:
     return name, f"{1e3 * seconds_per_frame:.0f}", f"{core_hours:,.0f}", f"${cost:,.2f}"
 
 
-def main() -> None:
-    """Measure the costs and limits of rendering on a cluster; write and print `cluster.md`."""
-    arguments = make_parser("reference.cluster", quick_help="few and small frames").parse_args()
-    frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
-    commands = prepare_animation_commands(frame_count, size)
-    renderers = [name for name in _RENDERERS if name in commands]
-    cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
-    tracer_seconds = cpu_seconds["tracer, 1 process"]
-    seconds_per_task = _measure_seconds_per_task(50 * frame_count)
-    png_files = [build_path(f"frame-{frame_index}.xml.png") for frame_index in range(frame_count)]
-    png_size = sum(path.stat().st_size for path in png_files) / frame_count
-    max_cores = tracer_seconds / seconds_per_task
-    cost_table = format_section(
-        "What they would cost",
-        f"Measured with {frame_count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time"
-        " for reading scenes, rendering and writing PNG files. POV-Ray starts anew for each frame;"
-        " the other programs start once. The price of a core is an assumption. The tracer's PNG"
-        f" files take {png_size * _FRAME_COUNT / 1e9:,.0f} GB.",
-        ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
-        [_format_cost_row(name, seconds) for name, seconds in cpu_seconds.items()],
-    )
-    limit_table = format_section(
+def _format_limits(measured: _Measurements) -> str:
+    """Format the section that says which limits many cores or frames would reach."""
+    tracer_seconds = measured.cpu_seconds["tracer, 1 process"]
+    # The scheduler is the limit if it takes as long for a frame as all cores together.
+    max_cores = tracer_seconds / measured.seconds_per_task
+    return format_section(
         "What would break first",
-        f"Measured: Dask's scheduler takes {1e3 * seconds_per_task:.2f} ms per task, and a PNG file"
-        f" takes {png_size / 1e3:,.0f} kB. Computed: when each limit is reached with one frame"
-        " per task.",
+        f"Measured: Dask's scheduler takes {1e3 * measured.seconds_per_task:.2f} ms per task, and a"
+        f" PNG file takes {measured.png_size / 1e3:,.0f} kB. Computed: when each limit is reached"
+        " with one frame per task.",
         ("limit", "reached with", "remedy"),
         [
             ("the scheduler is too slow for the workers", f"{max_cores:,.0f} cores",
              f"{_FRAMES_PER_TASK} frames per task, for {max_cores * _FRAMES_PER_TASK:,.0f} cores;"
              f" a lost worker then costs {tracer_seconds * _FRAMES_PER_TASK:,.0f} s of CPU time"),
             (f"gathered PNG files fill a memory of {_CLIENT_MEMORY / 1e9:.0f} GB",
-             f"{_CLIENT_MEMORY / png_size:,.0f} frames", "tasks that write the files themselves"),
+             f"{_CLIENT_MEMORY / measured.png_size:,.0f} frames",
+             "tasks that write the files themselves"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
         ],
     )  # fmt: skip
+
+
+def main() -> None:
+    """Measure the costs and limits of rendering on a cluster; write and print `cluster.md`."""
+    arguments = make_parser("reference.cluster", quick_help="few and small frames").parse_args()
+    frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
+    measured = _measure(frame_count, size)
     origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
-    page = "\n\n".join(["# A million frames on a cluster", origin, cost_table, limit_table]) + "\n"
+    sections = [_format_costs(measured), _format_limits(measured)]
+    page = "\n\n".join(["# A million frames on a cluster", origin, *sections]) + "\n"
     page_path = build_path("cluster.md") if arguments.quick else REFERENCE_FOLDER / "cluster.md"
     page_path.write_text(page, encoding="utf-8")
     print(page, end="")

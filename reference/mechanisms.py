@@ -20,7 +20,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -121,9 +121,9 @@ WORKLOADS: dict[str, Callable[[], Scene]] = {
 def load_named_scene(name: str) -> Scene:
     """Load the scene that a mechanism of `mechanisms.json` names.
 
-    The name is a key of `WORKLOADS`; or that of a file in `tests/scenes` or in `scenes`, without
-    the suffix, as in "room".  After it, a size may follow, as in "room 640×360", which replaces the
-    size of the picture in the file.
+    The name is a key of `WORKLOADS`, or the name of a file in `tests/scenes` or `scenes` without
+    the suffix, as in "room".  A size may follow the name of a file, as in "room 640×360".  It
+    replaces the size of the picture in the file.
     """
     if name in WORKLOADS:
         return WORKLOADS[name]()
@@ -137,7 +137,7 @@ def load_named_scene(name: str) -> Scene:
 
 
 def remove_mechanism(mechanism: Mechanism) -> str:
-    """Return the source of the mechanism's module without the mechanism.
+    """Return the source of the mechanism's module, in which other text replaces the mechanism's.
 
     Raise ValueError if the mechanism's text does not occur exactly once in the module.
     """
@@ -148,7 +148,10 @@ def remove_mechanism(mechanism: Mechanism) -> str:
 
 
 def copy_tracer(folder: Path, mechanism: Mechanism | None = None) -> Path:
-    """Copy the tracer into a new folder, without a mechanism if one is given; return the folder."""
+    """Copy the tracer into a new folder, without a mechanism if one is given.
+
+    Return `folder`, which then contains the package `tracer`.
+    """
     shutil.copytree(_PROJECT / "tracer", folder / "tracer")
     if mechanism is not None:
         path = folder / "tracer" / mechanism.module
@@ -157,7 +160,7 @@ def copy_tracer(folder: Path, mechanism: Mechanism | None = None) -> Path:
 
 
 def measure(tracer_folder: Path, scene_file: Path, samples: int) -> Measured:
-    """Render a scene file in a new process, with the tracer in a folder.
+    """Render a scene file in a new process, with the package `tracer` in `tracer_folder`.
 
     `samples` is the number of samples per pixel.  The picture is also stored in the folder.
     """
@@ -188,6 +191,7 @@ def compute_gains(mechanism: Mechanism, rounds: int) -> Gains:
             results_without.append(measure(folder_without, scene_file, mechanism.samples))
     seconds_with = min(result.seconds for result in results_with)
     seconds_without = min(result.seconds for result in results_without)
+    # Only the times vary from round to round.
     with_it = results_with[0]
     without_it = results_without[0]
     return Gains(
@@ -228,7 +232,13 @@ def main() -> None:
         gains = compute_gains(mechanism, rounds)
         scene = f"{mechanism.scene}, {mechanism.samples}"
         rows.append((mechanism.name, mechanism.lines, mechanism.purpose, scene, *gains))
-    page = format_section(
+    path = build_path("mechanisms.md") if arguments.quick else REFERENCE_FOLDER / "mechanisms.md"
+    path.write_text(_format_page(rows, rounds), encoding="utf-8")
+
+
+def _format_page(rows: Sequence[Sequence[object]], rounds: int) -> str:
+    """Format `mechanisms.md`: what was measured in how many rounds, and a table with the rows."""
+    section = format_section(
         "Mechanisms",
         "Written by `python -m reference.mechanisms`: what a picture takes without each mechanism,"
         " divided by what it takes with it. Lines of code that serve several mechanisms count for"
@@ -240,5 +250,4 @@ def main() -> None:
         ("mechanism", "lines", "what it does", "scene, samples", "time", "tests", "error"),
         rows,
     )
-    path = build_path("mechanisms.md") if arguments.quick else REFERENCE_FOLDER / "mechanisms.md"
-    path.write_text(page.removeprefix("#") + "\n", encoding="utf-8")
+    return section.removeprefix("#") + "\n"  # the heading of the section is that of the page

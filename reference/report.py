@@ -22,6 +22,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +44,7 @@ from reference.figures import (
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
-from tracer.command.arguments import check_path, is_folder
+from tracer.command.arguments import CommandParser, check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -179,26 +180,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     SystemExit
         If the arguments are wrong.
     """
-    command_parser = make_parser("reference.report")
-    add_argument = command_parser.add_argument
-    help_text = "scene files (all in scenes/)"
-    add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
-    help_text = "the page to write, or a folder in which to write it (build/report.html)"
-    add_argument("-o", "--output", type=check_path, metavar="PATH", help=help_text)
-    add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
+    command_parser = _make_command_parser()
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or list_scene_files())})
     output = arguments.output or str(BUILD / _PAGE_NAME)
     page_path = Path(output, _PAGE_NAME if is_folder(output) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     set_up_mitsuba(arguments.variant, exit_status=MISUSED)
-    names_are_unique = len({path.stem for path in paths}) == len(paths)
-    outcomes: list[tuple[CheckResult, str] | Failure] = []
-    for path in track(paths, len(paths), "scenes"):
-        name = make_printable(path.stem if names_are_unique else str(path))
-        outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
-    described_results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
-    failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
+    described_results, failures = _compare_scenes(paths, arguments.variant)
     # Charts appear only on a page that shows none but the project's own scenes.
     shows_charts = {*paths} <= {*list_scene_files()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if shows_charts]
@@ -207,10 +196,46 @@ def main(argv: Sequence[str] | None = None) -> int:
     return FAILED if failures else choose_exit_status(result for result, _ in described_results)
 
 
+def _make_command_parser() -> CommandParser:
+    command_parser = make_parser("reference.report")
+    add_argument = command_parser.add_argument
+    help_text = "scene files (all in scenes/)"
+    add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
+    help_text = "the page to write, or a folder in which to write it (build/report.html)"
+    add_argument("-o", "--output", type=check_path, metavar="PATH", help=help_text)
+    add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
+    return command_parser
+
+
+class _Outcomes(NamedTuple):
+    """The results of comparing several scenes."""
+
+    described_results: list[tuple[CheckResult, str]]  # each with the comment of the scene file
+    failures: list[str]  # messages about the scenes that could not be compared
+
+
+def _compare_scenes(paths: Sequence[Path], variant: str | None) -> _Outcomes:
+    """Compare the pictures of scene files, and print a message for each that cannot be compared.
+
+    `variant` is the name of Mitsuba's variant; None stands for the fastest.
+    """
+    names_are_unique = len({path.stem for path in paths}) == len(paths)
+    described_results = []
+    failures = []
+    for path in track(paths, len(paths), "scenes"):
+        name = make_printable(path.stem if names_are_unique else str(path))
+        outcome = attempt(_compare_scene, path, name, variant)
+        if isinstance(outcome, Failure):
+            failures.append(str(outcome))
+        else:
+            described_results.append(outcome)
+    return _Outcomes(described_results=described_results, failures=failures)
+
+
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
     """Compare the pictures of a scene file, and read the comment at the beginning of the file.
 
-    `name` is that of the scene on the page.  Raise Failure if the scene cannot be read or compared.
+    `name` is the scene's name on the page.  Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):
