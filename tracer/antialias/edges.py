@@ -305,14 +305,32 @@ class CellSurfaces(NamedTuple):
             for pair_index in split_indices(find(may_cross)):
                 light_index, index_in_group = np.divmod(pair_index, max_turn.size)
                 hit_index = group.interval.start + index_in_group
-                ray, inverse_t = self._trace_rays(hit_index)
-                # The ray meets the surface at t * ray.  All vectors are divided by t.
-                normal = group.shape.compute_normals(hit_object[index_in_group], ray, inverse_t)
-                light_over_t = scale(take(light_from_eye, light_index), inverse_t)
-                to_light = map_xyz(np.subtract, light_over_t, ray)
-                length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-                cosine = dot(normal, to_light) / length_product
+                cosine = self._compute_light_cosines(
+                    group.shape,
+                    hit_object[index_in_group],
+                    hit_index,
+                    take(light_from_eye, light_index),
+                )
                 yield EdgeValues(cell_index=self.cell_index[hit_index], values=cosine)
+
+    def _compute_light_cosines(
+        self,
+        shape: Shape,
+        object_index: Shaped[Ints, "n"],
+        hit_index: Shaped[Ints, "n"],
+        light: Shaped[Triple, "n"],
+    ) -> Shaped[Floats, "6 n"]:
+        """Compute the cosine between the normal and the direction to a light at six points.
+
+        These are the points of the surface that the rays through the six points of a cell meet.
+        `object_index` and `light` are the object at each hit, and the position of a light.
+        """
+        ray, inverse_t = self._trace_rays(hit_index)
+        # The ray meets the surface at t * ray.  All vectors are divided by t.
+        normal = shape.compute_normals(object_index, ray, inverse_t)
+        to_light = map_xyz(np.subtract, scale(light, inverse_t), ray)
+        length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
+        return dot(normal, to_light) / length_product
 
     def _trace_rays(
         self, hit_index: Shaped[Ints, "k"]

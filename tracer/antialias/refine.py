@@ -132,6 +132,7 @@ def average_pixels(
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classification.is_crowded
     pixel_mean = _compute_cell_means(scene, classification, estimate, is_refinable)
+    # Sample crowded pixels immediately.
     crowded_index = find(is_inner & classification.is_crowded)
     dense_lattice = Lattice.choose(grid_side, min_ratio=1)
     crowded = _sample_cells(scene, classification, crowded_index, dense_lattice)
@@ -179,8 +180,10 @@ def _compute_cell_means(
     is_pending = is_refinable & pending.is_pending
     steps = _choose_steps(cells)
     if steps.first_lattice is not None:
-        is_first = is_pending if steps.includes_unresolved else is_pending & pending.has_only_lines
-        first_index = find(is_first)
+        is_in_first_step = is_pending
+        if not steps.includes_unresolved:
+            is_in_first_step = is_pending & pending.has_only_lines
+        first_index = find(is_in_first_step)
         sampled = _sample_cells(scene, classification, first_index, steps.first_lattice)
         finished_index = first_index[~sampled.misses_edge]
         cell_mean[:, finished_index] = sampled.mean[:, ~sampled.misses_edge]

@@ -499,16 +499,16 @@ class Surfaces(Sequence[Sphere | Box]):
         # Shaders are identified by id(), so surfaces that share a shader object still share it.
         shader_of_id = {id(surface.shader): surface.shader for surface in objects}
         index_of_id = {shader_id: index for index, shader_id in enumerate(shader_of_id)}
-        file_index: list[int] = []
+        file_index: list[int] = []  # for each surface, in the order of the arrays
         tables: dict[Kind, dict[str, Any]] = {}
         kinds: tuple[Kind, ...] = Sphere, Box
         for kind in kinds:
             indices = [index for index, surface in enumerate(objects) if isinstance(surface, kind)]
             file_index += indices
-            members = [objects[index] for index in indices]
-            tables[kind] = {}
-            for name in schema.get_number_validators(kind):
-                tables[kind][name] = [getattr(surface, name) for surface in members]
+            tables[kind] = {
+                name: [getattr(objects[index], name) for index in indices]
+                for name in schema.get_number_validators(kind)
+            }
         return cls.from_tables(
             tables,
             shader_index=[index_of_id[id(objects[index].shader)] for index in file_index],
