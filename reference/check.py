@@ -272,25 +272,36 @@ def _render_diffuse_light(
     light = diffuse_scene.lights[0]
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
     mitsuba_document = convert_to_stock(replace(diffuse_scene, lights=(white_light,)), 1)
-    plugins = {element.get("type"): element for element in mitsuba_document.root.iter()}
-    # Let Mitsuba output the position of each hit, too.
+    _add_positions_and_center_samples(mitsuba_document.root)
+    channels = load_into_mitsuba(str(mitsuba_document), variant)().image
+    radiance = channels[..., :3]
+    hit_position = channels[..., -3:]
+    # The position and the intensity of the light in Mitsuba's units.
+    emitter = next(mitsuba_document.root.iter("emitter"))
+    point_element = next(emitter.iter("point"))
+    rgb_element = next(emitter.iter("rgb"))
+    light_position = [float(point_element.get(axis, "")) for axis in "xyz"]
+    intensity = float(rgb_element.get("value", "").split()[0])
+    squared_distance: Floats = ((hit_position - light_position) ** 2).sum(axis=2, keepdims=True)
+    # Mitsuba's radiance of a white surface that faces the light at distance 1.
+    divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
+    radiance_at_distance_1 = intensity / divisor
+    return radiance * squared_distance / radiance_at_distance_1 * light.intensity
+
+
+def _add_positions_and_center_samples(root: ET.Element) -> None:
+    """Change a stock Mitsuba scene, whose root element is given, in two ways.
+
+    Mitsuba also outputs the position of each hit, in three more channels.  The samples are placed
+    at the centres of the pixels.
+    """
+    plugins = {element.get("type"): element for element in root.iter()}
     integrator = plugins["direct"]
-    mitsuba_document.root.remove(integrator)
-    mitsuba_document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
-    # Place the samples at the centres of the pixels.
+    root.remove(integrator)
+    root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler = plugins["multijitter"]
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
-    channels = load_into_mitsuba(str(mitsuba_document), variant)().image
-    radiance, hit_position = channels[..., :3], channels[..., -3:]
-    emitter = plugins["point"]
-    point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
-    vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
-    squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
-    # Mitsuba's radiance of a white surface that faces the light at distance 1.
-    divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
-    radiance_at_distance_1 = float(rgb_element.get("value", "").split()[0]) / divisor
-    return radiance * squared_distance / radiance_at_distance_1 * light.intensity
 
 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:

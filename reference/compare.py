@@ -331,9 +331,10 @@ def compare_hand_in(options: Options, hand_in: HandIn) -> Compared:
 
     If they cannot be compared, no exception is raised, but the result contains the error.
     """
-    paths = hand_in.picture, hand_in.reference
-    picture_name, reference_name = (str(path) if path else None for path in paths)
+    picture_name = str(hand_in.picture) if hand_in.picture else None
+    reference_name = str(hand_in.reference) if hand_in.reference else None
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
+    # A missing picture has no path, so its student and its scene are named.
     missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
     name_in_error = picture_name or str(missing_name)
     try:
@@ -390,21 +391,21 @@ def _add_metrics(
 
     Return also the difference in linear light, positive where the submitted picture is brighter.
     """
-    ssim, rmse, max_difference, difference = compare_codes(submitted_codes, reference_codes)
-    agrees = result.diagnosis is not None and result.diagnosis.kind in AGREEING_KINDS
-    # Tolerances that are given replace the diagnosis.
-    if options.ssim is not None or options.max is not None:
-        is_similar = options.ssim is None or ssim >= options.ssim
-        agrees = is_similar and (options.max is None or max_difference <= options.max)
+    comparison = compare_codes(submitted_codes, reference_codes)
+    if options.ssim is None and options.max is None:
+        agrees = result.diagnosis is not None and result.diagnosis.kind in AGREEING_KINDS
+    else:  # tolerances that are given replace the diagnosis
+        is_similar = options.ssim is None or comparison.ssim >= options.ssim
+        agrees = is_similar and (options.max is None or comparison.max <= options.max)
     result = result._replace(
         agrees=agrees,
-        ssim=ssim,
-        rmse=rmse,
-        max=max_difference,
+        ssim=comparison.ssim,
+        rmse=comparison.rmse,
+        max=comparison.max,
         differing=int((submitted_codes != reference_codes).any(axis=2).sum()),
         worst=find_worst_pixel(submitted_codes, reference_codes),
     )
-    return result, difference
+    return result, comparison.difference
 
 
 def _save_comparison(

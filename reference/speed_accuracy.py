@@ -212,11 +212,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[_Row]:
             {series: task.render for series, task in tasks.items()}, _MIN_ROUNDS
         )
         for series, timing in timings.items():
-            # Timing keeps no pictures, and all series of POV-Ray write the same file.
-            result = tasks[series].render()
-            if series.method == _POVRAY:
-                result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
-            image = np.asarray(result, dtype=np.float64)  # Mitsuba's is float32
+            image = _render_once_more(series, tasks[series])
             error = compute_rms_error(image, reference_image)
             if error > min_error:
                 yield _Row(
@@ -231,6 +227,14 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[_Row]:
             if timing.median > _MAX_SECONDS or error <= min_error:
                 finished_series.add(series)
         tasks.clear()  # delete Mitsuba's scene before the next one is loaded
+
+
+def _render_once_more(series: _Series, task: _RenderingTask) -> Shaped[Floats, "height width 3"]:
+    """Render the picture of a task again, because timing it kept no picture."""
+    result = task.render()
+    if series.method == _POVRAY:  # all series of POV-Ray write the same file
+        result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
+    return np.asarray(result, dtype=np.float64)  # Mitsuba's is float32
 
 
 def _parse_row(cells: Sequence[str]) -> _Row:

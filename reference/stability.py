@@ -417,7 +417,7 @@ def _draw_column(
 def _draw_panel(axes: Any, panel: Panel, rows: Sequence[_Row], styles: dict[str, Any]) -> None:
     """Draw the curves and the guide lines of one panel.
 
-    `rows` are those of the panel, and `styles` are the line styles of the methods.
+    `rows` are the rows of the panel, and `styles` are the line styles of the methods.
     """
     curves = {
         method: np.array([(row.position, row.error) for row in rows if row.method == method]).T
@@ -429,10 +429,13 @@ def _draw_panel(axes: Any, panel: Panel, rows: Sequence[_Row], styles: dict[str,
     min_error, max_error = (_MIN_ERROR, 1.0) if panel.measures_radiance else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
     zero_height = {method: min_error / _CURVE_SPACING**index for index, method in enumerate(curves)}
-    limits = {"xlim": (x[0], x[-1]), "ylim": (min(zero_height.values()) / 1.6, 1.6 * max_error)}
-    guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
-    x_label = ";   ".join([panel.axis_label, *guides])
-    axes.set(title=panel.title, xlabel=x_label, xscale="log", yscale="log", **limits)
+    axes.set(
+        title=panel.title,
+        xscale="log",
+        yscale="log",
+        xlim=(x[0], x[-1]),
+        ylim=(min(zero_height.values()) / 1.6, 1.6 * max_error),
+    )
     if panel.measures_radiance:
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
@@ -442,6 +445,13 @@ def _draw_panel(axes: Any, panel: Panel, rows: Sequence[_Row], styles: dict[str,
     for method, (_, errors) in curves.items():
         heights = np.where(errors <= min_error, zero_height[method], np.minimum(errors, max_error))
         axes.plot(x, heights, label=method, clip_on=False, **styles[method])
+    _draw_guides(axes, panel, x)
+
+
+def _draw_guides(axes: Any, panel: Panel, x: Shaped[Floats, "n"]) -> None:
+    """Draw the lines eps * x and eps * x^2 that a panel needs, and explain them below the axis."""
+    names = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
+    axes.set(xlabel=";   ".join([panel.axis_label, *names]))
     for power, dashes in enumerate(_GUIDES.values(), 1):
         if power <= len(panel.guides):
             style = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}

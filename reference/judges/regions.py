@@ -178,12 +178,14 @@ def _bound_linear_part(
     """
     x, y, value, gradient_x, gradient_y = expansions
     slope = np.hypot(gradient_x, gradient_y)
-    normal_x, normal_y = gradient_x / slope, gradient_y / slope
+    normal_x = gradient_x / slope
+    normal_y = gradient_y / slope
     # Relative to the point (x, y), let n be the coordinate along the gradient, and t the one along
     # (-normal_y, normal_x).  With the second derivatives f_tt, f_tn and f_nn, the function is
     #     value + slope n + f_tn t n + f_nn n^2 / 2 + f_tt t^2 / 2.
     f_tt, f_tn, f_nn = _rotate_second_derivatives(functions, normal_x, normal_y)
-    half_extent = np.abs(normal_x) + np.abs(normal_y)  # of the cell, along t and along n
+    # Half the extent of the cell, along t and along n.
+    half_extent = np.abs(normal_x) + np.abs(normal_y)
     max_t = half_extent + np.abs(normal_x * y - normal_y * x)
     max_n = half_extent + np.abs(normal_x * x + normal_y * y)
     # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
@@ -270,9 +272,10 @@ def _cut_triangles(
 ) -> _Triangles:
     """Cut the triangles with the given indices, each along the centre line of one strip.
 
-    Bit number `bit` of the side bits is set for parts on the positive side of the line.  A triangle
-    that lies on one side of its line remains whole.  The arrays of `triangles` are changed in
-    place.
+    `strips` has one strip for each element of `triangle_index`.  Bit number `bit` of the side bits
+    is set for parts on the positive side of the line.  A triangle that lies on one side of its line
+    remains whole.  Return all triangles, the new ones last.  The arrays of the argument `triangles`
+    are changed in place.
     """
     cell_index, side_bits, corners = triangles
     chosen_corners = corners[:, triangle_index]
@@ -280,24 +283,27 @@ def _cut_triangles(
     is_above = height > 0
     above_count = is_above.sum(axis=0)
     side_bits[triangle_index[above_count == 3]] |= 1 << bit
-    cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
-    triangle_index = triangle_index[cut_index]
+    # The positions, in `triangle_index`, of the triangles that their line cuts.
+    position = np.flatnonzero((above_count == 1) | (above_count == 2))
+    cut_index = triangle_index[position]
     # Rotate the corners so that the first one is alone on its side of the line.
-    is_first_above = above_count[cut_index] == 1
-    first_corner_index = np.argmax(is_above[:, cut_index] == is_first_above, axis=0)
+    is_first_above = above_count[position] == 1
+    first_corner_index = np.argmax(is_above[:, position] == is_first_above, axis=0)
     corner_index = (first_corner_index + np.arange(3)[:, None]) % 3
-    first, second, third = corners[corner_index, triangle_index]
-    first_height, second_height, third_height = height[corner_index, cut_index]
+    first, second, third = corners[corner_index, cut_index]
+    first_height, second_height, third_height = height[corner_index, position]
     # Points where the line meets the two sides at the first corner.
     on_second = first + first_height / (first_height - second_height) * (second - first)
     on_third = first + first_height / (first_height - third_height) * (third - first)
-    corners[:, triangle_index] = first, on_second, on_third
+    # The part at the first corner replaces the triangle.  The part on the other side of the line,
+    # which has four corners, becomes two new triangles.
+    old_bits = side_bits[cut_index]
+    corners[:, cut_index] = first, on_second, on_third
+    side_bits[cut_index] = old_bits | (is_first_above << bit)
     other_triangles = [(on_second, second, third), (on_second, third, on_third)]
-    old_bits = side_bits[triangle_index]
-    side_bits[triangle_index] = old_bits | (is_first_above << bit)
     other_bits = old_bits | (~is_first_above << bit)
     return _Triangles(
-        cell_index=np.append(cell_index, np.tile(cell_index[triangle_index], 2)),
+        cell_index=np.append(cell_index, np.tile(cell_index[cut_index], 2)),
         side_bits=np.concatenate([side_bits, other_bits, other_bits]),
         corners=np.concatenate([corners, *other_triangles], axis=1),
     )
