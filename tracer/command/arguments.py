@@ -114,10 +114,10 @@ def choose_output_paths(
     default_paths: Sequence[str],
     list_files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda path: (path,),
 ) -> list[str]:
-    """Choose and return the path of each scene's result.
+    """Choose the path of each scene's result, and return the paths in the order of the scenes.
 
-    If a result would replace a scene or the result of another scene, or `output` is a file but
-    there are several scenes, the parser prints an error and ends the process.  Raise Failure if the
+    Call `parser.error`, which ends the process, if a result would replace a scene or the result of
+    another scene, or if `output` is a file but there are several scenes.  Raise Failure if the
     working folder has been deleted.
 
     Parameters
@@ -152,7 +152,10 @@ def _refuse_to_replace_files(
     result_paths: Sequence[str],
     list_files: Callable[[str], Iterable[str | os.PathLike[str]]],
 ) -> None:
-    """End the process with an error if a result would replace a scene or another scene's result."""
+    """Call `parser.error` if a result would replace a scene or another scene's result.
+
+    Raise Failure if the working folder has been deleted.
+    """
     scene_paths = {resolve_path(scene) for scene in scenes}
     scene_of_file = dict[str, str]()
     for scene, result_path in zip(scenes, result_paths, strict=True):

@@ -224,6 +224,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     radiance = shade(hits, prepared_scene.iterate_light_batches()).compute_radiance()[:, 0]
     shown_hit = FirstHits.from_hits(hits)
     surface_index = shown_hit.surface.item()
+    # The components of the ray in camera axes, each an array of one number.
     ray = samples.compute_ray_x(frame), frame.to_ray_y(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
