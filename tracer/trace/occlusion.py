@@ -3,10 +3,14 @@
 `packets` finds the candidates: objects that may block the segment from a hit to a light.  An exact
 test, `Shape.occludes`, then decides about each of them.
 
-For antialiasing, the test is repeated with each object grown and shrunk.  The *footprint* of a hit
-is the part of the surface that is visible in a cell of the picture (a pixel or a square part of a
-pixel).  The grown and the shrunk object show whether a shadow covers a footprint, or has an edge
-there.
+For antialiasing, the *footprint* of a hit matters: the part of the surface that is visible in a
+cell of the picture (a pixel or a square part of a pixel).  The test is repeated with each object
+grown, and shrunk, by the radius of the footprint.  If the grown object does not block the segment,
+its shadow does not reach the footprint.  If the shrunk object blocks it, too, the shadow covers the
+footprint.  Otherwise the edge of the shadow may cross the footprint.
+
+A *triple* is a column of three indices: of a light, of a hit, and of an object.  A *pair* consists
+of the first two.
 """
 
 from __future__ import annotations
@@ -16,28 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import (
-    BATCH_SIZE,
-    Bools,
-    Floats,
-    Ints,
-    find_runs,
-    put_2d,
-    sort_distinct,
-    take,
-    take_2d,
-)
+from tracer.arrays import Bools, Floats, Ints, put_2d, take, take_2d
 from tracer.geometry.rounding import ON
 from tracer.geometry.shape import Shape
+from tracer.trace.edge_set import EdgeSet
 from tracer.trace.hits import Hits
 from tracer.trace.packets import find_candidates
 from tracer.world.prepared_scene import Lights
-
-# Maximum number of shadow edges that are collected before duplicates are removed: it limits memory.
-_EDGES_PER_BATCH = 8 * BATCH_SIZE
-
-# Maximum number of shadow edges of one light near a hit.  If there are more, some are omitted.
-_MAX_EDGES_PER_HIT = 64
 
 
 def find_shadows(
@@ -51,10 +40,8 @@ def find_shadows(
     is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
     for candidates in find_candidates(hits, lights, faces_light):
         is_blocking = _test_blocking(hits, lights, candidates.shape, candidates.triples)
-        light_index, hit_index, _ = candidates.triples[:, is_blocking]
-        put_2d(is_blocked, light_index, hit_index, True)
-        shaded_light, shaded_hit = candidates.shaded_pairs
-        put_2d(is_blocked, shaded_light, shaded_hit, True)
+        _mark(is_blocked, candidates.triples[:2, is_blocking])
+        _mark(is_blocked, candidates.shaded_pairs)
     return is_blocked
 
 
@@ -64,9 +51,10 @@ class ShadowEdges(NamedTuple):
     # Whether an object other than the hit's own blocks the segment from the hit to the light;
     # meaningless where the surface does not face the light.
     is_blocked: Shaped[Bools, "lights n"]
-    # Indices of lights, of hits, and of objects that cast shadows, sorted in this order.
+    # Triples of a light, a hit, and the object that casts the shadow, sorted in this order.
     edges: Shaped[Ints, "3 k"]
-    # Whether edges near the hit are missing in `edges`, because one light has too many there.
+    # Whether edges near the hit are missing in `edges`, because one light has more than
+    # `edge_set.MAX_EDGES_PER_HIT` there.
     is_crowded: Shaped[Bools, "n"]
 
 
@@ -81,18 +69,17 @@ def find_shadow_edges(
     Edges are not visible, and are skipped, where a single object shades the whole footprint from
     the same light, and where the surface does not face the light.
     """
-    is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
+    is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
+    is_covered = np.zeros(faces_light.shape, dtype=np.bool_)  # by the shadow of a single object
     light_count, hit_count = faces_light.shape
-    edge_set = _EdgeSet(light_count, hit_count, hits.scene.position_error.size)
+    edge_set = EdgeSet(light_count, hit_count, hits.scene.position_error.size)
     for candidates in find_candidates(hits, lights, faces_light, footprint_radius):
         triples = candidates.triples
         test = _test_footprints(hits, lights, candidates.shape, triples, footprint_radius)
-        light_index, hit_index, _ = triples
-        put_2d(is_blocked, light_index[test.is_blocking], hit_index[test.is_blocking], True)
-        put_2d(is_covered, light_index[test.is_covering], hit_index[test.is_covering], True)
-        shaded_light, shaded_hit = candidates.shaded_pairs
-        put_2d(is_covered, shaded_light, shaded_hit, True)
-        is_facing = take_2d(faces_light, light_index, hit_index)
+        _mark(is_blocked, triples[:2, test.is_blocking])
+        _mark(is_covered, triples[:2, test.is_covering])
+        _mark(is_covered, candidates.shaded_pairs)
+        is_facing = take_2d(faces_light, triples[0], triples[1])
         edge_set.add(triples[:, test.has_edge & is_facing])
     edges = edge_set.get_edges()
     is_visible = ~take_2d(is_covered, edges[0], edges[1])
@@ -103,43 +90,9 @@ def find_shadow_edges(
     )
 
 
-class _EdgeSet:
-    """A set of shadow edges: triples of a light, a hit, and an object that casts a shadow near it.
-
-    A pair of a light and a hit is *crowded* if it has more than `_MAX_EDGES_PER_HIT` edges.  The
-    set marks the pairs that are found to be crowded, and drops their edges.
-    """
-
-    is_crowded: Shaped[Bools, "lights hits"]
-
-    def __init__(self, light_count: int, hit_count: int, object_count: int) -> None:
-        self.is_crowded = np.zeros((light_count, hit_count), dtype=np.bool_)
-        # One integer key encodes the three indices of an edge.
-        self._index_counts = light_count, hit_count, object_count
-        # The keys of the first batch are distinct and sorted.
-        self._key_batches = [np.zeros(0, dtype=np.intp)]
-
-    def add(self, edges: Shaped[Ints, "3 n"]) -> None:
-        """Add edges, unless they are in the set already or their pair is marked as crowded."""
-        is_kept = ~take_2d(self.is_crowded, edges[0], edges[1])
-        self._key_batches.append(np.ravel_multi_index(tuple(edges[:, is_kept]), self._index_counts))
-        if sum(batch.size for batch in self._key_batches[1:]) > _EDGES_PER_BATCH:
-            self._merge_batches()
-
-    def get_edges(self) -> Shaped[Ints, "3 n"]:
-        """Return all edges, sorted by light, then by hit, then by object."""
-        self._merge_batches()
-        return np.array(np.unravel_index(self._key_batches[0], self._index_counts))
-
-    def _merge_batches(self) -> None:
-        """Remove duplicates; then mark crowded pairs, and remove their edges."""
-        keys = sort_distinct(np.concatenate(self._key_batches))
-        object_count = self._index_counts[2]
-        pair_key = keys // object_count  # encodes the light and the hit
-        pair_start, edge_count = find_runs(pair_key)
-        is_pair_crowded = edge_count > _MAX_EDGES_PER_HIT
-        self.is_crowded.ravel()[pair_key[pair_start[is_pair_crowded]]] = True
-        self._key_batches = [keys[~is_pair_crowded.repeat(edge_count)]]
+def _mark(table: Shaped[Bools, "lights n"], pairs: Shaped[Ints, "2 k"]) -> None:
+    """Set table[light, hit] to True for each pair of a light (row 0) and a hit (row 1)."""
+    put_2d(table, pairs[0], pairs[1], True)
 
 
 class _FootprintTest(NamedTuple):
@@ -173,13 +126,13 @@ def _test_footprints(
     ==================  =======================================================================
     """
     light_index, hit_index, object_index = triples
-    # If the object shades any part of the footprint, the grown object shades the hit.
     growth = footprint_radius[hit_index]
+    # If the object shades any part of the footprint, the grown object shades the hit.
     grown_object_blocks = _test_blocking(hits, lights, shape, triples, growth)
     light_distance = shape.measure_distance(object_index, take(lights.position.T, light_index))
     is_blocking = _test_blocking(hits, lights, shape, triples)
-    # The object shades the whole footprint if the shrunk object blocks the segment, too.  A test of
-    # the shrunk object does not suffice, because the hit may lie between the two surfaces.
+    # If the shrunk object shades the hit, the object shades the whole footprint.  A test of the
+    # shrunk object does not suffice, because the hit may lie between the two surfaces.
     is_covering = is_blocking & _test_blocking(hits, lights, shape, triples, -growth)
     # A light on the object's surface illuminates only one side of the tangent plane there, and this
     # plane may cross the footprint.
