@@ -106,8 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Failure
         If the working folder has been deleted, or the folder for the pictures cannot be created.
     """
-    # The functions that take the parser report wrong usage by `parser.error`, which prints a message
-    # and raises SystemExit.
+    # The functions that take the parser report wrong usage by `parser.error`, which prints it and
+    # raises SystemExit.
     parser = _make_parser()
     _check_size(parser, sys.argv[1:] if argv is None else argv)
     arguments = parser.parse_args(argv, namespace=_Arguments())
