@@ -144,15 +144,12 @@ def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
     for result in results:
         if not (result.student and result.scene):
             continue
-        path, names = result.picture or "", unmatched_names[result.student]
-        text = "cannot be compared" if result.verdict == UNREAD else result.verdict
-        if result.diagnosis and not result.agrees:
-            text = result.diagnosis.summary or result.diagnosis.first_cause_text
-        elif not path and names:
-            text = f"not matched: {', '.join(names)}"
-        thumbnail = pairs[path]["thumbnail"] if path in pairs else None
+        path = result.picture or ""
         cell = Cell(
-            text=text, link=pair_index.get(path), is_good=result.agrees, thumbnail=thumbnail
+            text=_summarize(result, unmatched_names[result.student]),
+            link=pair_index.get(path),
+            is_good=result.agrees,
+            thumbnail=pairs[path]["thumbnail"] if path in pairs else None,
         )
         cells[result.student][result.scene].append(cell)
         if result.agrees:
@@ -174,14 +171,14 @@ def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
 def _summarize(result: Result, unmatched_names: Sequence[str]) -> str:
     """Say in a few words what is wrong with a picture.
 
-    `unmatched_names` are those of the student's files that belong to no scene; one of them may be
-    the picture if it is missing.
+    `unmatched_names` are the names of the student's files that match no scene.  If the picture is
+    missing, it may be one of these files under another name.
     """
     if result.diagnosis and not result.agrees:
         return result.diagnosis.summary or result.diagnosis.first_cause_text
     if not result.picture and unmatched_names:
         return f"not matched: {', '.join(unmatched_names)}"
-    return "cannot be compared" if result.verdict == "unread" else result.verdict
+    return "cannot be compared" if result.verdict == UNREAD else result.verdict
 
 
 def _render_page(
