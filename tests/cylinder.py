@@ -2,13 +2,17 @@
 
 `Cylinders` proves that the contract in `tracer.geometry.shape` is complete, because no module of
 the tracer knows cylinders.  `PlainTracer` teaches them to the plain renderer, as a comparison.
+
+A point is on the curved face if its distance from the axis, in the plane of x and z, is the radius.
+It is on a cap if its y is that of the lower or of the upper end.  In the formulas, (cx, cz) is the
+axis, and (dx, dy, dz) is the direction of a ray.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -65,9 +69,26 @@ def add_cylinders(scene: Scene, *cylinders: Cylinder) -> Surfaces:
     )
 
 
+class _Row(NamedTuple):
+    """The rays through a row of the picture, one row for each of n objects, in scene axes.
+
+    The ray at x has the direction start + x step, where x is `ray_x`.
+    """
+
+    start: Triple
+    step: Floats  # (3,)
+
+    def compute_direction(self, x: Floats) -> Triple:
+        dx, dy, dz = (a + x * b for a, b in zip(self.start, self.step, strict=True))
+        return dx, dy, dz
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cylinders(Shape):
-    """The cylinders of a scene.  Vectors have the axes of the scene."""
+    """The cylinders of a scene.  Vectors have the axes of the scene.
+
+    `Shape` has the contract of each public method.
+    """
 
     planar_axes: ClassVar = (1,)
     has_curved_face: ClassVar = True
@@ -108,38 +129,64 @@ class Cylinders(Shape):
         return self.min_pt[1, index] - origin_y, self.max_pt[1, index] - origin_y
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+        """Find the smallest and the largest x in the picture at which each cylinder may appear.
+
+        The band of the picture from `top` to top + `height` is searched.  If the height is not 0,
+        the result is from minus infinity to infinity, because any bounds are allowed.
+        """
         index, frame = self.objects.to_local(object_index), self.frame
-        if height:  # any bounds are allowed
+        if height:
             return np.full(index.size, -np.inf), np.full(index.size, np.inf)
-        (cx, _, cz), squared_radius = self.from_eye[:, index], self.radius[index] ** 2
-        low, high = self._get_caps(index, frame.eye[1])
-        # A ray of the row has the direction a + x b.  It touches the side, or meets the rim of a
-        # cap, where x is a root of a quadratic equation.
         ray_y = frame.to_ray_y(top)
-        a = frame.rotate_to_scene((np.zeros(top.size), ray_y, np.full(top.size, frame.depth)))
-        b = frame.axes[0]
-        side = _square(cx * a[2] - cz * a[0], cx * b[2] - cz * b[0])
-        side -= squared_radius * (_square(a[0], b[0]) + _square(a[2], b[2]))
-        roots, are_valid = [*_solve(side)], []
-        for x in roots:
-            dx, dy, dz = (a[axis] + x * b[axis] for axis in range(3))
-            t = (cx * dx + cz * dz) / (dx * dx + dz * dz)
-            are_valid.append((low <= t * dy) & (t * dy <= high) & (t > 0))
-        for y in (low, high):
-            rim = _square(y * a[0] - cx * a[1], y * b[0] - cx * b[1])
-            rim += _square(y * a[2] - cz * a[1], y * b[2] - cz * b[1])
-            rim -= squared_radius * _square(a[1], b[1])
-            rim_roots = _solve(rim)
-            roots += rim_roots
-            are_valid += [y / (a[1] + x * b[1]) > 0 for x in rim_roots]
+        start = frame.rotate_to_scene((np.zeros(top.size), ray_y, np.full(top.size, frame.depth)))
+        row = _Row(start=start, step=frame.axes[0])
+        ends = [*self._find_tangent_rays(index, row), *self._find_rim_rays(index, row)]
+        x, is_visible = zip(*ends, strict=True)
         is_inside = self.is_eye_inside[index]
-        left = np.where(are_valid, roots, np.where(is_inside, -np.inf, np.inf)).min(axis=0)
-        right = np.where(are_valid, roots, np.where(is_inside, np.inf, -np.inf)).max(axis=0)
+        left = np.where(is_visible, x, np.where(is_inside, -np.inf, np.inf)).min(axis=0)
+        right = np.where(is_visible, x, np.where(is_inside, np.inf, -np.inf)).max(axis=0)
         return frame.to_picture_x(left), frame.to_picture_x(right)
+
+    def _find_tangent_rays(self, index: Ints, row: _Row) -> Iterator[tuple[Floats, Bools]]:
+        """Yield x of both rays of each row that touch the curved face, extended without end.
+
+        Yield with each x whether the ray touches the face between the caps and ahead of the eye.
+        """
+        (cx, _, cz), squared_radius = self.from_eye[:, index], self.radius[index] ** 2
+        low, high = self._get_caps(index, self.frame.eye[1])
+        # Seen from above, the distance of the ray from the axis is the radius:
+        # (cx dz - cz dx)^2 = radius^2 (dx^2 + dz^2).
+        (ax, _, az), (bx, _, bz) = row
+        polynomial = _square(cx * az - cz * ax, cx * bz - cz * bx)
+        polynomial -= squared_radius * (_square(ax, bx) + _square(az, bz))
+        for x in _solve(polynomial):
+            dx, dy, dz = row.compute_direction(x)
+            t = (cx * dx + cz * dz) / (dx * dx + dz * dz)
+            yield x, (low <= t * dy) & (t * dy <= high) & (t > 0)
+
+    def _find_rim_rays(self, index: Ints, row: _Row) -> Iterator[tuple[Floats, Bools]]:
+        """Yield x of the two rays of each row that meet the rim of the lower, then the upper cap.
+
+        Yield with each x whether the ray meets the rim ahead of the eye.
+        """
+        (cx, _, cz), squared_radius = self.from_eye[:, index], self.radius[index] ** 2
+        (ax, ay, az), (bx, by, bz) = row
+        for y in self._get_caps(index, self.frame.eye[1]):
+            # The ray meets the plane of the cap at t = y / dy, at a distance of one radius from the
+            # axis: (y dx - cx dy)^2 + (y dz - cz dy)^2 = radius^2 dy^2.
+            polynomial = _square(y * ax - cx * ay, y * bx - cx * by)
+            polynomial += _square(y * az - cz * ay, y * bz - cz * by)
+            polynomial -= squared_radius * _square(ay, by)
+            for x in _solve(polynomial):
+                yield x, y / row.compute_direction(x)[1] > 0
 
     def intersect(
         self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
+        """Return, for each ray, t of its hit (infinity if it misses), and the code of the face.
+
+        A cylinder is hit where the ray enters it or, if the eye is inside, where the ray leaves it.
+        """
         index = repeat_runs(self.objects.to_local(object_index), ray_count)
         x, y, z = self.iterate_directions(ray_y, ray_x, ray_count)
         caps = self._get_caps(index, self.frame.eye[1])
@@ -154,6 +201,7 @@ class Cylinders(Shape):
     def compute_tangent_planes(
         self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
     ) -> TangentPlanes:
+        """Return the planes that touch the cylinders at hits, on caps and on curved faces."""
         planes = super().compute_tangent_planes(object_index, run_length, to_hit, t, face_code)
         ray = to_hit[0], to_hit[1], to_hit[2]
         side = self.compute_normals(object_index.repeat(run_length), ray, np.ones(t.size))
@@ -165,6 +213,10 @@ class Cylinders(Shape):
         return planes._replace(normal=normal, eye_height=-dot(normal, ray))
 
     def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
+        """Return the distance of each point from a cylinder: negative inside, 0 on the surface.
+
+        It is the largest of the signed distances from the curved face and the planes of the caps.
+        """
         index = self.objects.to_local(object_index)
         x, _, z = map_xyz(np.subtract, point, take(self.center, index))
         low, high = self._get_caps(index, point[1])
@@ -178,6 +230,10 @@ class Cylinders(Shape):
         light_side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
+        """Test whether each cylinder, grown by `growth`, blocks the segment from a hit to a light.
+
+        It does so if the segment enters or leaves it strictly between its ends.
+        """
         index = self.objects.to_local(object_index)
         tolerance = compute_hit_tolerance(self.coordinate_bound[index], hit, self.frame.eye)
         low, high = self._get_caps(index, hit[1])
@@ -195,6 +251,10 @@ class Cylinders(Shape):
     def find_silhouettes(
         self, object_index: Ints, viewpoint: Floats, ray: Triple
     ) -> SilhouetteEdges:
+        """Return the edges of outlines, seen from viewpoints, that rays may touch.
+
+        They are two vertical lines on the curved face, and the two rims.
+        """
         index, (dx, dy, dz) = self.objects.to_local(object_index), self.frame.rotate_to_scene(ray)
         (cx, _, cz), radius = self.center[:, index] - viewpoint, self.radius[index]
         low, high = self._get_caps(index, viewpoint[1])
@@ -213,6 +273,11 @@ class Cylinders(Shape):
         return SilhouetteEdges(item_index=may_cross.nonzero()[1], values=values[:, may_cross])
 
     def compute_inverse_t(self, face_code: int, object_index: Ints, ray: Triple) -> Floats:
+        """Return 1 / t of rays from the eye, where t * ray is on the face with a code.
+
+        Seen from above, the curved face is a circle, which the ray meets at the roots of
+        t^2 (dx^2 + dz^2) - 2 t (cx dx + cz dz) + cx^2 + cz^2 - radius^2 = 0.
+        """
         if face_code != CURVED_FACE:
             return super().compute_inverse_t(face_code, object_index, ray)
         index, (dx, _, dz) = self.objects.to_local(object_index), self.frame.rotate_to_scene(ray)
@@ -222,6 +287,10 @@ class Cylinders(Shape):
         return k_d + np.sqrt(np.maximum(k_d**2 - (dx * dx + dz * dz) / power, 0))
 
     def compute_normals(self, object_index: Ints, ray: Triple, inverse_t: Floats) -> Triple:
+        """Return outward normals of any length, in camera axes, where rays hit the curved face.
+
+        At t d, the normal is the vector from the axis, t d - c, here divided by t.
+        """
         cx, _, cz = self.from_eye[:, self.objects.to_local(object_index)]
         dx, _, dz = self.frame.rotate_to_scene(ray)
         x, z = dx - cx * inverse_t, dz - cz * inverse_t
@@ -235,6 +304,11 @@ class Cylinders(Shape):
         to_hit: Floats,
         max_distance: Floats,
     ) -> Iterator[tuple[int, Ints]]:
+        """Yield the codes of faces, each with the indices of the hits near this face.
+
+        The curved face is near a hit on a cap if its distance is less than `max_distance`, and the
+        eye can see it.
+        """
         arguments = object_index, run_length, face_axis, to_hit, max_distance
         yield from super().find_near_faces(*arguments)
         index = self.objects.to_local(object_index).repeat(run_length)
@@ -262,13 +336,21 @@ def _solve(polynomial: Floats) -> tuple[Floats, Floats]:
 def _cross_faces(
     center: Floats, direction: Triple, radius: Floats, caps: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return where rays enter and leave infinite cylinders (row 0), and slabs of caps (row 1)."""
-    (cx, _, cz), (dx, dy, dz) = center, direction
-    squared_length, projection = dx * dx + dz * dz, cx * dx + cz * dz
+    """Return t at which rays enter, and t at which they leave, each in two rows.
+
+    Row 0 is of the cylinder without caps, and row 1 of the slab between the caps.  Positions are
+    relative to the start of each ray.  If a ray misses the cylinder without caps, t is NaN.
+    """
+    cx, _, cz = center
+    dx, dy, dz = direction
+    squared_length = dx * dx + dz * dz
+    projection = cx * dx + cz * dz
     root = np.sqrt(squared_length * radius**2 - (cx * dz - cz * dx) ** 2)
-    t_sides = (projection - root) / squared_length, (projection + root) / squared_length
-    t_caps = caps[0] / dy, caps[1] / dy
-    return np.array([t_sides[0], np.minimum(*t_caps)]), np.array([t_sides[1], np.maximum(*t_caps)])
+    side_enter = (projection - root) / squared_length
+    side_leave = (projection + root) / squared_length
+    low_t, high_t = caps[0] / dy, caps[1] / dy
+    enter = np.array([side_enter, np.minimum(low_t, high_t)])
+    return enter, np.array([side_leave, np.maximum(low_t, high_t)])
 
 
 class PlainTracer(plain._PlainTracer):
@@ -282,6 +364,7 @@ class PlainTracer(plain._PlainTracer):
         return np.maximum(np.hypot(x, z) - extent[0], np.abs(y) - extent[1])
 
     def get_cylinder(self, surface_index: int) -> tuple[Any, Any]:
+        """Return the centre of a cylinder, and half the size of its bounding box."""
         low, high = self.shapes[surface_index]
         return (low + high) / 2, (high - low) / 2
 
@@ -290,8 +373,12 @@ class PlainTracer(plain._PlainTracer):
         if not isinstance(self.surfaces[surface_index], Cylinder):
             return near, far
         center, extent = self.get_cylinder(surface_index)
-        (px, _, pz), (dx, _, dz) = origin - center, direction
-        a, b, c = dx * dx + dz * dz, px * dx + pz * dz, px * px + pz * pz - extent[0] ** 2
+        px, _, pz = origin - center
+        dx, _, dz = direction
+        # Seen from above, the ray meets the circle where a t^2 + 2 b t + c = 0.
+        a = dx * dx + dz * dz
+        b = px * dx + pz * dz
+        c = px * px + pz * pz - extent[0] ** 2
         root = np.sqrt(b * b - a * c)
         return np.maximum(near, (-b - root) / a), np.minimum(far, (-b + root) / a)
 

@@ -62,12 +62,21 @@ def rgb_lights(*positions: Vector) -> list[PointLight]:
 
 
 def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
-    """Scale, then shift a copy of a scene, which has the same picture except for rounding."""
+    """Scale all lengths of a scene, then shift all positions; return the new scene.
+
+    Its picture is that of the scene, except for rounding.
+    """
 
     def move(point: Vector) -> Vector:
         """Scale and shift a point."""
         x, y, z = (scale * coordinate + step for coordinate, step in zip(point, shift, strict=True))
         return x, y, z
+
+    def move_surface(surface: Surface) -> Surface:
+        """Scale and shift a sphere or a box."""
+        if isinstance(surface, Sphere):
+            return replace(surface, center=move(surface.center), radius=surface.radius * scale)
+        return replace(surface, min_pt=move(surface.min_pt), max_pt=move(surface.max_pt))
 
     camera = scene.camera
     names = "proj_distance", "view_width", "view_height"
@@ -76,12 +85,7 @@ def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0))
         scene,
         camera=replace(camera, view_point=move(camera.view_point), **lengths),
         lights=[replace(light, position=move(light.position)) for light in scene.lights],
-        surfaces=[
-            replace(surface, center=move(surface.center), radius=surface.radius * scale)
-            if isinstance(surface, Sphere)
-            else replace(surface, min_pt=move(surface.min_pt), max_pt=move(surface.max_pt))
-            for surface in scene.surfaces
-        ],
+        surfaces=[move_surface(surface) for surface in scene.surfaces],
     )
 
 
@@ -90,8 +94,8 @@ def record_calls(
 ) -> list[Any]:
     """Record a summary of the arguments whenever a function is called, until the test ends.
 
-    The function is an attribute of a module or class, `owner`.  Each call appends to the list that
-    is returned what `summary` returns for its positional arguments.
+    The function is an attribute of a module or class, `owner`.  After each call, the list that is
+    returned has one more element: what `summary` returns for the positional arguments of the call.
     """
     summaries: list[Any] = []
     function = getattr(owner, name)

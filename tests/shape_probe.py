@@ -87,14 +87,15 @@ def prepare(shape_type: type[Shape], seed: int, **camera: Any) -> tuple[Shape, I
 
 
 def trace(shape: Shape, objects: Ints, seed: int) -> tuple[Floats, Floats, Floats, Any]:
-    """Trace 300 random rays to each object: return ray_x, ray_y, t and `hit_data`, row by row."""
+    """Trace the same 300 random rays to each object: return ray_x, ray_y, t and the face codes.
+
+    Each array has 300 elements for the first object, then for the second, and so on.
+    """
     rng = np.random.default_rng(seed)
     frame = shape.frame
     x, y = rng.uniform((0, 0), (frame.width, frame.height), (300, 2)).T
-    ray_x, ray_y = (
-        frame.to_ray_x(np.tile(x, objects.size)),
-        frame.to_ray_y(np.tile(y, objects.size)),
-    )
+    ray_x = frame.to_ray_x(np.tile(x, objects.size))
+    ray_y = frame.to_ray_y(np.tile(y, objects.size))
     return ray_x, ray_y, *shape.intersect(objects.repeat(300), ray_y, ray_x, None)
 
 
@@ -116,6 +117,7 @@ class Hits(NamedTuple):
 
 
 def find_hits(shape_type: type[Shape], seed: int) -> Hits:
+    """Trace random rays to the objects of one kind in a random scene, and return all hits."""
     shape, objects = prepare(shape_type, seed)
     ray_x, ray_y, t, hit_data = trace(shape, objects, seed)
     hits = find(t < np.inf)
@@ -150,7 +152,8 @@ def random_segments(shape: Shape, seed: int) -> Segments:
     """Choose segments whose ends are often in the object, and seldom far away."""
     rng = np.random.default_rng(seed)
     low, high = (corner.repeat(400, axis=1) for corner in shape.compute_bounding_boxes())
-    center, size = (low + high) / 2, high - low
+    center = (low + high) / 2
+    size = high - low
     start = center + rng.normal(size=low.shape) * size
     end = center + rng.normal(size=low.shape) * size
     return Segments(
