@@ -34,7 +34,7 @@ from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import compute_radiance
 from tracer.trace.samples import ObjectSpans, Scattered
-from tracer.world import light_grid, prepared_scene
+from tracer.world import cell_lists, prepared_scene
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
@@ -318,10 +318,10 @@ def test_the_light_grid_is_read_in_batches(monkeypatch):
     ground = Sphere(center=(0, -1e6, 0), radius=1e6 - 1)
     scene = build_balls((0.1, 3, 0.2), 300, 0.1, ground)
     expected = render(scene, 16)
-    cell_counts = record_sizes(monkeypatch, light_grid, "_find_overlaps")
+    cell_counts = record_sizes(monkeypatch, cell_lists, "_find_overlaps")
     pair_counts = record_sizes(monkeypatch, LightGrid, "query")
-    monkeypatch.setattr(light_grid, "_PAIRS_PER_BATCH", 1000)
-    monkeypatch.setattr(light_grid, "_CELLS_PER_BATCH", 1000)
+    monkeypatch.setattr(cell_lists, "_PAIRS_PER_BATCH", 1000)
+    monkeypatch.setattr(cell_lists, "_CELLS_PER_BATCH", 1000)
     np.testing.assert_array_equal(render(scene, 16), expected)
     for sizes in (pair_counts, cell_counts):
         assert 100 < max(sizes) <= 1000 < sum(sizes)

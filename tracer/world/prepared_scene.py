@@ -78,8 +78,10 @@ class Lights(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Total size, in bytes, of the arrays that grow with the number of objects."""
-        arrays = [self.side, *(self.grid or ())]
-        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+        fields: list[object] = [self.side]
+        if self.grid is not None:
+            fields += [*self.grid, *self.grid.cell_lists]
+        return sum(field.nbytes for field in fields if isinstance(field, np.ndarray))
 
 
 class PreparedScene:
