@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, enumerate_ranges, find, mark_run_starts
+from tracer.arrays import Floats, Ints, enumerate_ranges, find, join_ranges, mark_run_starts
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.screen_bounds import ScreenBounds
 from tracer.geometry.shape import Shape
@@ -94,6 +94,12 @@ class SampleSpans(NamedTuple):
     row: Shaped[Ints, "spans"]  # index into `y` of the samples
     first_sample: Shaped[Ints, "spans"]
     sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
+
+    def list_samples(self) -> Shaped[Ints, "n"]:
+        """Return the indices of the samples in all spans, span by span."""
+        if self.sample_count is None:
+            return self.first_sample
+        return join_ranges(self.sample_count, self.first_sample)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,4 +1,4 @@
-"""Visibility: which surface does the ray through each sample meet first?
+"""Visibility: the first surface that the ray through each sample meets.
 
 Each object is intersected only with the rays through samples that it may cover in the picture.
 Then the nearest intersection at each sample is selected, and becomes a hit.
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, find, join_ranges, mark_run_starts, repeat_runs
+from tracer.arrays import Bools, Floats, Ints, find, mark_run_starts, repeat_runs
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits, ShapeHits
@@ -64,7 +64,10 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 
 
 class _Intersections(NamedTuple):
-    """Intersections of rays with objects of one shape, for n pairs of a sample and an object."""
+    """Intersections of rays with objects of one shape, for n pairs of a sample and an object.
+
+    The pairs are arranged in spans: consecutive samples in one row, paired with the same object.
+    """
 
     shape: Shape
     sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
@@ -92,9 +95,11 @@ class _Intersections(NamedTuple):
             sample_count = None
             object_index, ray_y = self.object_index.take(pair_index), self.ray_y.take(pair_index)
         else:
-            # Count the selected pairs before the end of each span.
-            count_before_end = pair_index.searchsorted(self.sample_count.cumsum())
-            sample_count = np.diff(count_before_end, prepend=0)
+            # Spans stay where they are, but may become empty.  Count the selected pairs before the
+            # end of each span; the difference between two spans is the number in the second.
+            span_end = self.sample_count.cumsum()
+            selected_before_end = pair_index.searchsorted(span_end)
+            sample_count = np.diff(selected_before_end, prepend=0)
             object_index, ray_y = self.object_index, self.ray_y
         return _Intersections(
             shape=self.shape,
@@ -123,8 +128,8 @@ class _Intersections(NamedTuple):
         """Find the index of the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  No intersection may be a miss.  `hit_depth` is the distance of each hit ahead of
-        the eye.
+        object.  All rays must hit.  `hit_depth` is the distance of each hit ahead of the eye.  It
+        is needed only for scattered samples, whose runs are divided further (see `_RUN_WIDTH`).
         """
         if self.sample_count is None:
             is_start = self._mark_scattered_starts(samples, frame, hit_depth)
@@ -150,7 +155,7 @@ class _Intersections(NamedTuple):
     ) -> Shaped[Bools, "n"]:
         """Mark the hits at which the object, the row of pixels, the strip or the depth changes.
 
-        See `_RUN_WIDTH` for strips, and for the reason.
+        Strips are `_RUN_WIDTH` pixels wide, and the depth changes with its layer.
         """
         x, y = samples.get_positions(self.sample_index)
         strip, row = np.floor(x / _RUN_WIDTH), np.floor(y)
@@ -165,10 +170,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     row_ray_y = scene.frame.to_ray_y(samples.y)
     for shape in scene.shapes:
         spans = samples.find_spans(shape, scene.bounds)
-        if spans.sample_count is None:
-            sample_index = spans.first_sample
-        else:
-            sample_index = join_ranges(spans.sample_count, spans.first_sample)
+        sample_index = spans.list_samples()
         ray_y, ray_x = row_ray_y.take(spans.row), sample_ray_x.take(sample_index)
         t, hit_data = shape.intersect(spans.object_index, ray_y, ray_x, spans.sample_count)
         groups.append(
@@ -199,25 +201,29 @@ def _select_visible(
 ) -> list[_Intersections]:
     """Select the nearest intersection at each sample whose ray meets a surface.
 
-    If several objects are at the same distance, only the first one in the scene file is selected.
+    `nearest_t` is the result of `_find_nearest_t`.  If several objects are at the same distance,
+    only the first one in the scene file is selected.
     """
-    candidates = [group.select(group.t == nearest_t.take(group.sample_index)) for group in groups]
-    if sum(group.t.size for group in candidates) == np.count_nonzero(nearest_t < _MAX_T):
-        return candidates  # no sample has two nearest intersections
+    nearest = [group.select(group.t == nearest_t.take(group.sample_index)) for group in groups]
+    hit_count = np.count_nonzero(nearest_t < _MAX_T)
+    if sum(group.t.size for group in nearest) == hit_count:
+        return nearest  # no sample has two nearest intersections
     file_index = scene.surfaces.file_index
-    min_file_index = np.full(nearest_t.size, file_index.size)
-    for group in candidates:
-        np.minimum.at(min_file_index, group.sample_index, file_index.take(group.pair_object))
+    first_file_index = np.full(nearest_t.size, file_index.size)  # for each sample
+    for group in nearest:
+        np.minimum.at(first_file_index, group.sample_index, file_index.take(group.pair_object))
     return [
-        group.select(file_index.take(group.pair_object) == min_file_index.take(group.sample_index))
-        for group in candidates
+        group.select(
+            file_index.take(group.pair_object) == first_file_index.take(group.sample_index)
+        )
+        for group in nearest
     ]
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute the positions and tangent planes of hits.
+    """Turn intersections into hits, with their positions, runs and tangent planes.
 
-    No intersection in the groups may be a miss.
+    Each group contains the intersections with objects of one shape.  All rays must hit.
     """
     from_eye = np.empty((3, sum(group.t.size for group in groups)))
     shape_hits = list[ShapeHits]()
@@ -252,7 +258,8 @@ def _build_shape_hits(
 ) -> ShapeHits:
     """Compute the runs and tangent planes of the hits on objects of one shape.
 
-    Among the hits of all shapes, the first of these hits has the index `start`.
+    `positions` are vectors from the eye to the hits, in camera axes.  Among the hits of all shapes,
+    the first of these hits has the index `start`.
     """
     run_start = group.find_run_starts(samples, scene.frame, positions[2])
     run_length = np.diff(run_start, append=group.t.size)

@@ -50,6 +50,7 @@ def choose_patches(
     of_octant = np.full(octant_count, -1)
     of_octant[octant_index[octant_start]] = np.arange(octant_start.size)
     origins, sizes = [], []
+    # In each coordinate, leave out the smallest minima and the largest maxima.
     for octant_rectangles in np.split(rectangles, octant_start[1:], axis=1):
         outlier_count = octant_rectangles.shape[1] // _OBJECTS_PER_OUTLIER
         sorted_minima = np.partition(octant_rectangles[::2], outlier_count)
