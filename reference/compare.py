@@ -47,9 +47,10 @@ from reference.handins.folders import HandIn, list_hand_ins, list_references, ma
 from reference.handins.results import (
     UNREAD,
     Result,
+    format_class_text,
     format_csv,
     format_json,
-    format_text,
+    format_single_text,
     sort_causes,
 )
 from reference.handins.workers import map_in_workers
@@ -230,7 +231,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _write_pages(options, results, pairs)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, exit_status=FAILED_STATUS)
-    format_results = options.format_results or partial(format_text, is_class=options.is_class)
+    format_text = format_class_text if options.is_class else format_single_text
+    format_results = options.format_results or format_text
     with errors_as_failure("standard output", "written", exit_status=FAILED_STATUS):
         print_or_raise(sys.stdout, format_results(results))
     if any(result.verdict == UNREAD for result in results):

@@ -42,9 +42,9 @@ def make_pair(
 ) -> Pair:
     """Prepare a submitted picture and its reference picture for display on a page.
 
-    `difference` is in linear light, positive if the submitted picture is brighter; None if the
-    pictures have different sizes.  The page then shows the reference picture in its place,
-    stretched to the size of the submitted picture.
+    `difference` is in linear light, and positive where the submitted picture is brighter.  It is
+    None if the pictures have different sizes.  In its place, the page then shows the reference
+    picture, stretched to the size of the submitted picture.
     """
     diagnosis = result.diagnosis
     size = f"{reference_codes.shape[1]} × {reference_codes.shape[0]}"
@@ -86,8 +86,14 @@ def make_pair(
 def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
     """Render a page on a class: a table, the number of students with each mistake, and pictures.
 
-    `results` includes those for missing pictures.  `pairs` has the results of `make_pair`, by the
-    path of the submitted picture.  The page shows paths relative to `folder`, that of the class.
+    Parameters
+    ----------
+    results
+        The results for all submitted and missing pictures.
+    pairs
+        The results of `make_pair`, by the path of the submitted picture.
+    folder
+        The folder of the class.  The page shows paths relative to it.
     """
     table = _make_table(results, pairs)
     students = {result.student for result in results if result.student}
@@ -106,9 +112,9 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
 def render_student_pages(
     results: Sequence[Result], pairs: dict[str, Pair], folder: Path
 ) -> dict[str, str]:
-    """Render a page for each student, which names no other; return a dict from names to pages.
+    """Render pages that each show one student's pictures and name no other student.
 
-    The arguments are those of `render_class_page`.
+    The arguments are those of `render_class_page`.  The keys of the result are students' names.
     """
     pages = {}
     for student in sorted({result.student for result in results if result.student}):
@@ -133,7 +139,7 @@ def _format_number(count: int, noun: str) -> str:
 
 
 def _make_table(results: Sequence[Result], pairs: dict[str, Pair]) -> _Table:
-    """Make the table of the verdicts by student and scene."""
+    """Make the table: a row per student, with a cell per scene for its pictures' verdicts."""
     pair_index = {path: index for index, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     correct_scenes: dict[str, set[str]] = defaultdict(set)
@@ -194,7 +200,7 @@ def _render_page(
     """Render a page with the given table, pairs, and counts of mistakes."""
 
     def shorten_paths(result: Result, text: str) -> str:
-        """Make the paths in a text short: of hand-ins relative, of references the name alone."""
+        """Make the hand-in's path in a text relative, and shorten the reference's to its name."""
         if result.picture:
             text = text.replace(result.picture, os.path.relpath(result.picture, folder))
         return text.replace(result.right, Path(result.right).name) if result.right else text

@@ -33,7 +33,7 @@ _BYTES_PER_RECIPE = 500
 
 
 def make_formula_inputs(source: Scene | Shaped[Codes, "height width 3"]) -> dict[str, Any]:
-    """Convert a scene to the arrays and numbers from which formulas compute its picture, by name.
+    """Convert a scene to the arrays and numbers that formulas use, by the names that they use.
 
     Examples are "view_dir" (3,), "center" (3, surfaces, 1), "diffuse" (3, surfaces) and "position"
     (lights, 3, 1).  If there is no scene, the source is the reference picture, and the only array
@@ -46,9 +46,6 @@ def make_formula_inputs(source: Scene | Shaped[Codes, "height width 3"]) -> dict
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface: an empty scene gets a sphere with radius NaN, which all rays miss.
     radius_factor = 1 if len(source.surfaces) else np.nan
-    # The shaders in the order of first use, which is nearly their order in the file.
-    distinct_shaders = [*dict.fromkeys(shaders)]
-    shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
 
     def to_array(items: Sequence[Any], attribute: str, default: Any) -> Shaped[Array, "items ..."]:
         """Collect an attribute of all items; items that lack it get the default."""
@@ -73,7 +70,6 @@ def make_formula_inputs(source: Scene | Shaped[Codes, "height width 3"]) -> dict
         "is_phong": np.array([isinstance(shader, Phong) for shader in shaders]),
         "diffuse": to_vectors(shaders, "diffuse"), "specular": to_vectors(shaders, "specular"),
         "exponent": to_array(shaders, "exponent", 1.0),
-        "shader_of_number": np.array([shaders.index(shader) for shader in shader_by_number]),
         "position": to_vectors(lights, "position").T[:, :, None],
         "color": to_vectors(lights, "intensity").T[:, :, None],
     }  # fmt: skip
@@ -92,9 +88,9 @@ def _list_affected_formulas(replaced_names: tuple[str, ...]) -> tuple[str, ...]:
 class FormulaCache:
     """A cache of formula values at some pixels, each computed when it is first requested.
 
-    The inputs and all values are numbered, the inputs first.  The *recipe* of a value is a tuple of
-    its formula and of the numbers of the formula's arguments.  Pictures with different mistakes
-    share the values with the same recipe.
+    Each input and each value has an *id*, a whole number from 0; inputs have the first ones.  The
+    *recipe* of a value is a tuple of its formula and of the ids of the formula's arguments.
+    Pictures with different mistakes share the values with the same recipe.
 
     Parameters
     ----------
@@ -103,42 +99,40 @@ class FormulaCache:
         for the n pixels of the cache, their columns `i` (n,), their rows `j` (n,) and their codes
         in the submitted picture, `submitted_codes` (3, n).
     fitting_cache
-        The cache whose pixels are used to compute values of the whole picture, such as its largest
-        radiance.  By default, the pixels of this cache are used.
+        The cache from whose pixels values of the whole picture are computed, such as its largest
+        radiance.  By default, they are computed from the pixels of this cache.
     """
 
     def __init__(self, inputs: dict[str, Any], fitting_cache: FormulaCache | None = None) -> None:
-        self._inputs = inputs
         self._fitting_cache = fitting_cache
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
-        self._recipes: list[Any] = [None] * len(inputs)  # by number; inputs have none
-        self._number_by_recipe: dict[Any, int] = {}
+        self._recipes: list[Any] = [None] * len(inputs)  # by id; inputs have none
+        self._id_by_recipe: dict[Any, int] = {}
         self._cached_bytes = 0
-        # The numbers of the reference picture's values, by name.
-        self._reference_numbers = {name: number for number, name in enumerate(inputs)}
-        self._reference_numbers = self._add_recipes(REFERENCE_FORMULAS)
+        # The ids of the inputs and of the reference picture's values, by name.  The values'
+        # recipes can only be added once the inputs have ids.
+        self._reference_ids = {name: input_id for input_id, name in enumerate(inputs)}
+        self._reference_ids |= self._add_recipes(REFERENCE_FORMULAS)
         self._reference_recipe_count = len(self._recipes)
 
     def _add_recipes(self, replacements: Formulas) -> dict[str, int]:
-        """Add the recipes of a picture's values, and return the values' numbers by name.
+        """Add the recipes of a picture's values, and return the ids of these values by name.
 
         Values that cannot be computed from the inputs of this cache are omitted.
         """
-        number_by_name = self._reference_numbers.copy()
+        id_by_name = self._reference_ids.copy()
         for name in _list_affected_formulas(tuple(replacements)):
-            if name in self._inputs:
-                continue
             formula = replacements.get(name, REFERENCE_FORMULAS[name])
             try:
-                recipe = (formula, *map(number_by_name.__getitem__, list_parameters(formula)))
+                recipe = (formula, *map(id_by_name.__getitem__, list_parameters(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this value
-                number_by_name.pop(name, None)
+                id_by_name.pop(name, None)
                 continue
-            number_by_name[name] = self._number_by_recipe.setdefault(recipe, len(self._recipes))
-            if number_by_name[name] == len(self._recipes):
+            id_by_name[name] = self._id_by_recipe.setdefault(recipe, len(self._recipes))
+            if id_by_name[name] == len(self._recipes):
                 self._recipes.append(recipe)
                 self._cached_bytes += _BYTES_PER_RECIPE
-        return number_by_name
+        return id_by_name
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
         """Test whether the inputs of this cache suffice to compute a picture and its replacements.
@@ -162,9 +156,10 @@ class FormulaCache:
         return self._evaluate(self._add_recipes(replacements)[name])
 
     def _fit_whole_picture(self, replacements: Formulas) -> Formulas:
-        """Compute the values of the whole picture that replacements use, from the fitting cache.
+        """Make the formulas of values of the whole picture that replacements use, by name.
 
-        The result has a formula for each value, which returns it.
+        Each formula returns a value that is computed from the fitting cache.  The result is empty
+        if there is no fitting cache.
         """
         if not self._fitting_cache:
             return {}
@@ -191,19 +186,19 @@ class FormulaCache:
         """Keep only the recipes and values that the reference picture needs."""
         del self._recipes[self._reference_recipe_count :]
         self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
-        self._number_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
+        self._id_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
         self._cached_bytes = 0
 
-    def _evaluate(self, number: int) -> Any:
-        """Return a value by its number; compute and cache it if it is not yet in the cache."""
-        if number not in self._values:
-            formula, *argument_numbers = self._recipes[number]
+    def _evaluate(self, value_id: int) -> Any:
+        """Return the value with an id; compute and cache it if it is not yet in the cache."""
+        if value_id not in self._values:
+            formula, *argument_ids = self._recipes[value_id]
             values, evaluate = self._values, self._evaluate
-            arguments = [values[k] if k in values else evaluate(k) for k in argument_numbers]
+            arguments = [values[k] if k in values else evaluate(k) for k in argument_ids]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
-            self._values[number] = value
-        return self._values[number]
+            self._values[value_id] = value
+        return self._values[value_id]
 
 
 def _make_constant_function(value: Any) -> Any:
@@ -211,7 +206,7 @@ def _make_constant_function(value: Any) -> Any:
 
 
 def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
-    """Merge the formulas of several mistakes, by name.
+    """Merge the formulas, by name, of several mistakes that are made together.
 
     The result is empty if two mistakes replace the same formula, and so exclude each other.
     """

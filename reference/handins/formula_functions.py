@@ -147,8 +147,8 @@ def make_intersect(
     """Make a function that computes the roots of rays and the surfaces of a scene.
 
     It takes origins and directions (3, n), and returns roots (2, surfaces, n).  Rays miss surfaces
-    that are not present.  `intersect_spheres` and `intersect_boxes`, or faulty functions that
-    replace them, compute the roots.
+    that are not present.  `intersect_sphere` and `intersect_box` compute the roots; they have the
+    parameters of `intersect_spheres` and `intersect_boxes`, but may be faulty.
     """
     sphere_index = np.flatnonzero(is_sphere & is_present)
     box_index = np.flatnonzero(~is_sphere & is_present)

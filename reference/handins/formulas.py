@@ -24,7 +24,7 @@ _OWN_NAMES = """normalize dot select_vectors intersect_spheres intersect_boxes
     intersect_shadow_rays find_blocking_surfaces select_last_value compute_box_normals
     convert_to_grey find_background_color compute_median fit_exponent interpolate_light
     guess_hits"""
-_NUMPY_NAMES = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64
+_NUMPY_NAMES = """abs arange arccos array ceil clip cos cross exp floor full_like gcd inf int64
     isfinite log logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt
     take_along_axis trunc uint8 where zeros"""
 _FUNCTIONS: dict[str, Callable[..., Any]] = {"len": len, "partial": partial}

@@ -5,6 +5,10 @@ formulas that it replaces (see `mistakes.md`).  A *cause* is a tuple of keywords
 are made together.  It may end with the keyword of a *variant*: another correct way to write a
 tracer, which changes how some mistakes look.
 
+`MistakeRenderer` evaluates formulas at any pixels.  At a small sample of pixels, it also finds out
+which causes are worth trying in a scene.  Causes that change nothing are left out, and causes that
+give the same picture form a group, of which only the first is paired with those of other groups.
+
 Pixels are numbered row by row.  Pictures are arrays of 8-bit codes with one column per pixel.
 """
 
@@ -17,27 +21,22 @@ from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
 from reference.handins.formula_functions import Array
 from reference.handins.formulas import Formulas, collect_parameters
-from reference.handins.mistakes import (
-    ALWAYS_PAIRED,
-    ROUNDINGS,
-    VARIANTS,
-    Mistake,
-    list_mistakes,
-)
+from reference.handins.mistakes import ALWAYS_PAIRED, ROUNDINGS, VARIANTS, Mistake, list_mistakes
+from reference.handins.sampling import Ints32, choose_from_strata
 from reference.pictures import Codes
 from tracer import Scene
 
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
 
-# Number of pixels at which all pairs of mistakes are rendered.  In scenes with many surfaces, it is
-# smaller, but not smaller than the minimum.
+# Number of pixels at which all pairs of mistakes are rendered.
 _FIRST_PIXELS = 240
+
+# Minimum of this number, which is smaller in scenes with many surfaces.
 _MIN_FIRST_PIXELS = 40
 
 # In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
@@ -63,9 +62,6 @@ _SAMPLE_SHARE = 1 / 32
 # The sample represents light and shadow of at most this many lights.
 _MAX_SAMPLED_LIGHTS = 4
 
-# Maximum number of items from which items are chosen.  A random subset represents more items.
-_MAX_CANDIDATES = 1_000_000
-
 # Number of intersections in one batch of pixels.  Their arrays stay in the CPU cache.
 _INTERSECTIONS_PER_BATCH = 25_000
 
@@ -73,35 +69,15 @@ _INTERSECTIONS_PER_BATCH = 25_000
 _MIN_BATCH_SIZE = 100
 
 Cause: TypeAlias = tuple[str, ...]
-Ints32: TypeAlias = NDArray[np.int32]
 
 
 class RenderedPairs(NamedTuple):
     """The pairs of mistakes to try, rendered at the same pixels."""
 
-    # By pair, which is a cause of two mistakes: the two causes that it joins.
+    # Maps each pair, which is a cause of two mistakes, to the two causes that it joins.
     causes_by_pair: dict[Cause, tuple[Cause, Cause]]
     codes: Shaped[Codes, "pairs 3 n"]
     pixel_index: Shaped[Ints32, "n"]
-
-
-def choose_from_strata(strata: Shaped[Array, "n"], max_count: int) -> Shaped[Ints32, "k"]:
-    """Choose items at random, about the same number from each stratum.
-
-    `max_count` is at most `_MAX_CANDIDATES`.  If there are fewer items, all are chosen.
-    """
-    candidate_index = shuffle_range(len(strata))[:_MAX_CANDIDATES]
-    order = np.argsort(strata[candidate_index], kind="stable")
-    counts = np.unique(strata[candidate_index], return_counts=True)[1]
-    # The first candidate of each stratum has place 0, the second has place 1, and so on.
-    place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
-    return candidate_index[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
-
-
-def shuffle_range(count: int) -> Shaped[Ints32, "count"]:
-    """Return the integers from 0 to `count` - 1 in random order, which is always the same."""
-    # Arrays of int64 would take too much memory.
-    return np.random.default_rng(1).permutation(np.arange(count, dtype=np.int32))
 
 
 class MistakeRenderer:
@@ -186,7 +162,7 @@ class MistakeRenderer:
         return [keyword for keyword in VARIANTS if self._is_right((keyword,))]
 
     def _is_right(self, cause: Cause) -> bool:
-        """Test whether the mistakes of a cause, if they can be rendered at all, change nothing."""
+        """Test whether a cause can be rendered, and gives the right picture."""
         if not self.mistakes.keys() >= {*cause}:
             return False
         pixel_index = self.sample_index[:_GROUPING_PIXELS]
@@ -222,7 +198,7 @@ class MistakeRenderer:
         return FormulaCache(self._inputs | pixel_inputs, fitting_cache)
 
     def split_pixels(self, pixel_index: Shaped[Array, "k"]) -> Iterator[Shaped[Array, "batch"]]:
-        """Divide pixels into batches that take little memory to render."""
+        """Yield the pixels in batches that take little memory to render."""
         size = max(_MIN_BATCH_SIZE, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
         return (pixel_index[start : start + size] for start in range(0, len(pixel_index), size))
 
@@ -263,11 +239,12 @@ class MistakeRenderer:
 
     @cached_property
     def cause_groups(self) -> dict[Cause, list[Cause]]:
-        """Causes of one mistake, grouped by the picture that they give.
+        """Causes of one mistake, in groups that give the same picture at the sampled pixels.
 
-        The key of a group is its first cause, which has no variant if possible.  Mistakes with
-        estimated numbers are omitted.  So are mistakes that concern a single surface or light, if
-        the scene has many surfaces.
+        The key of a group is its first cause, which has no variant if possible.  Three kinds of
+        mistakes are in no group: those that change nothing, those with estimated numbers and, if
+        the scene has many surfaces, those that concern a single surface or light.  The mistakes of
+        `ALWAYS_PAIRED` have groups of their own.
         """
         has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
         keywords = [
@@ -283,7 +260,7 @@ class MistakeRenderer:
         ]
         pixel_index = self.sample_index[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
-        # By picture.  The mistakes that are always paired are groups of their own, by keyword.
+        # The keys are pictures, except those of mistakes that are always paired.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)] for keyword in ALWAYS_PAIRED if keyword in self.mistakes
         }
@@ -302,9 +279,12 @@ class MistakeRenderer:
 
     @cached_property
     def rendered_pairs(self) -> RenderedPairs:
-        """All pairs of mistakes that do not exclude each other."""
+        """The pairs of causes from two groups, rendered at the first pixels of the sample.
+
+        Pairs that exclude each other are left out.  So are antialiasing and rounding.
+        """
         pixel_index = self.sample_index[: self.first_round_size]
-        # Several samples per pixel would take too long, and rounding is determined at the end.
+        # Several samples per pixel would take too long, and `search` adds rounding at the end.
         skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
         skipped_keys |= {*ROUNDINGS}
         causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
@@ -328,7 +308,7 @@ class MistakeRenderer:
         return cause if len(variants) < 2 and self.get_formulas(cause) else ()
 
     def add_variants(self, cause: Cause) -> Iterator[Cause]:
-        """Yield a cause with each variant that the scene has and that it does not exclude."""
+        """Yield copies of a cause, each with one of `variants`, unless they exclude each other."""
         joined_causes = (self.join_causes(cause, (variant,)) for variant in self.variants)
         return filter(None, joined_causes)
 

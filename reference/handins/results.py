@@ -1,4 +1,4 @@
-"""Format the results of comparing submitted with reference pictures, as text, JSON and CSV.
+"""Format the results of comparing submitted pictures with their reference pictures.
 
 A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
 """
@@ -54,14 +54,19 @@ class Result(NamedTuple):
         """Convert the result to a row of the JSON and CSV output: values by column name.
 
         The diagnosis takes three columns: "kind" (keywords of the mistakes), "hint" (if no cause is
-        known, keywords of the mistakes that come closest) and "diagnosis" (sentences).
+        known, keywords of the mistakes that come closest) and "diagnosis" (sentences).  They are
+        None if there is no diagnosis.
         """
-        diagnosis, row = self.diagnosis, dict[str, Any]()
-        new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
-                       "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
-        for name, value in self._asdict().items():
-            row |= new_columns if name == "diagnosis" else {name: value}
-        return row
+        diagnosis = self.diagnosis
+        return {
+            "student": self.student, "scene": self.scene,
+            "picture": self.picture, "right": self.right, "agrees": self.agrees,
+            "kind": diagnosis.kind if diagnosis else None,
+            "hint": diagnosis.hint if diagnosis else None,
+            "diagnosis": str(diagnosis) if diagnosis else None,
+            "ssim": self.ssim, "rmse": self.rmse, "max": self.max, "differing": self.differing,
+            "worst": self.worst, "comparison": self.comparison, "error": self.error,
+        }  # fmt: skip
 
     def format_metrics(self) -> str:
         """Format the metrics of the comparison; empty if the sizes of the pictures differ."""
@@ -115,10 +120,9 @@ def summarize_counts(results: Sequence[Result]) -> str:
 
     Pictures that cannot be compared and scenes that nobody has handed in are also counted.
     """
-    counts = Counter(
-        "unused" if not result.picture and not result.student else result.verdict
-        for result in results
-    )
+    used_results = [result for result in results if result.picture or result.student]
+    unused_count = len(results) - len(used_results)
+    counts = Counter(result.verdict for result in used_results)
     # For each verdict, the verb for one picture and for several.
     verbs = {
         AGREES: ("agrees", "agree"),
@@ -136,18 +140,20 @@ def summarize_counts(results: Sequence[Result]) -> str:
     summary = f"{picture_count} {'picture' if picture_count == 1 else 'pictures'}"
     summary += f": {', '.join(clauses.values())}" if clauses else ""
     summary += f"; {missing_clause}" if missing_clause else ""
-    unused_note = f"; scenes that nobody has handed in: {counts['unused']}"
-    return summary + (unused_note if counts["unused"] else "")
+    unused_note = f"; scenes that nobody has handed in: {unused_count}"
+    return summary + (unused_note if unused_count else "")
 
 
-def format_text(results: Sequence[Result], *, is_class: bool) -> str:
-    """Format results as text for a terminal.
+def format_class_text(results: Sequence[Result]) -> str:
+    """Format the results of a class for a terminal: one line per result, and a summary."""
+    return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
 
-    For a class, one line per result and a summary.  For a single comparison, the error; or up to
-    three lines: metrics, diagnosis and the file of the comparison picture.
+
+def format_single_text(results: Sequence[Result]) -> str:
+    """Format the only result for a terminal: the error, or one to three lines.
+
+    These are the metrics, the diagnosis and the file of the comparison picture.
     """
-    if is_class:
-        return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
     result = results[0]
     lines = result.format_metrics(), str(result.diagnosis), make_printable(result.comparison or "")
     return result.error or "\n".join(filter(None, lines))

@@ -9,8 +9,9 @@ halving (Jamieson and Talwalkar 2016): it tries all causes at a few pixels, the 
 pixels, and only the last few in full.
 
 A cause is reported only if the scene, rendered with it, gives the submitted picture.  Exceptions
-are allowed in 3 % of the pixels that differ from the reference picture.  If no cause is reported,
-the one that comes closest to explaining the picture is returned as a hint.
+are allowed in 3 % of the pixels that differ from the reference picture, unless they fill a square.
+Each mistake of a pair must meet this limit at the pixels that it adds to what the other explains.
+If no cause is reported, the one that comes closest to explaining the picture is returned as a hint.
 """
 
 from __future__ import annotations
@@ -32,10 +33,9 @@ from reference.handins.renderer import (
     MAX_PIXELS,
     Cause,
     MistakeRenderer,
-    choose_from_strata,
     remove_variants,
-    shuffle_range,
 )
+from reference.handins.sampling import choose_from_strata, shuffle_range
 from reference.judges.arrays import Bools, Floats
 from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_rows
 
@@ -62,7 +62,7 @@ _FEW_PIXELS = 10
 # Maximum number of causes after the first round.  Each further round has four times the pixels and
 # a quarter of the causes.
 _MAX_CAUSE_COUNT = 256
-# Minimum of this number: that of the causes after the last round.
+# Maximum number of causes after the last round.
 _FINAL_CAUSE_COUNT = 16
 # By chance, the right cause may leave this many more pixels of a round unexplained than the best.
 _CHANCE_MARGIN = 4
@@ -81,11 +81,11 @@ class Finding(NamedTuple):
     # The causes that explain the submitted picture.  If there are several, they give nearly the
     # same picture of this scene.  Empty if no cause explains it.
     causes: tuple[Cause, ...]
-    # Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
-    # hint, the number of wrong pixels.
+    # Number of pixels that the first cause leaves unexplained; or the hint, if there are no causes.
+    # Without either, it is the number of wrong pixels.
     unexplained_count: int
-    # If there are no causes, the one that comes closest to explaining the picture.  Empty if it
-    # comes not close enough.
+    # If there are no causes, the cause that comes closest to explaining the picture.  Empty if none
+    # comes close enough.
     hint: Cause = ()
 
 
@@ -186,10 +186,10 @@ class Submission:
     def _choose_blocks(self, count: int) -> _Selection:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
-        The chosen blocks form a mosaic, one below the other.  JPEG compresses blocks separately, so
-        compression alters them as it does in the whole picture, except at their edges, whose weight
-        is 0.  At least `MAX_PIXELS` / 8 pixels are chosen.  If the picture has no more pixels, or
-        is narrower or lower than a block, all are chosen, as a picture.
+        The chosen blocks form a picture, one below the other.  JPEG compresses blocks separately,
+        so it alters this picture as it does the whole one.  Only the edges of blocks differ; they
+        get weight 0.  At least `MAX_PIXELS` / 8 pixels are chosen.  If the submitted picture has no
+        more, or is narrower or shorter than a block, all its pixels are chosen, in their order.
         """
         pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
         every_pixel = np.arange(pixel_count, dtype=np.int32)
@@ -228,8 +228,8 @@ class Submission:
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
         """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
 
-        A cause that explains black pixels alone, in a picture that has others, leaves all wrong
-        pixels unexplained, because black pixels cannot tell why they are black.
+        If a cause explains none but black pixels, and the picture has others, all wrong pixels
+        count as unexplained, because black pixels cannot tell why they are black.
         """
         cached_counts, limits = self._counts_by_cause, (self.tolerance, self.format_noise)
         new_causes = [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]
@@ -239,7 +239,7 @@ class Submission:
         differences = self._compare_levels(new_causes, pixel_index, self._final.width)
         is_bright = self.codes[:, pixel_index].max(axis=0) > self.tolerance
         for cause, difference in zip(new_causes, differences, strict=True):
-            counts = [round(float((difference > limit) @ weights)) for limit in limits]
+            counts = [round(float(weights[difference > limit].sum())) for limit in limits]
             if is_bright.any() and (difference[is_bright] > self.tolerance).all():
                 counts[0] = self.wrong_count
             cached_counts[cause] = counts

@@ -76,6 +76,34 @@ _SCALINGS = (
 )
 
 
+def find_symptom(submission: Submission) -> tuple[str, str] | None:
+    """Recognise what is wrong with a picture as a whole; None if nothing is recognised.
+
+    Return the keyword and the sentence of the symptom.
+    """
+    renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
+    both_codes = submission.codes, renderer.reference_codes
+    if wrong_count and is_explained_by_rounding(submission):
+        sentence = f"{format_count(wrong_count)} where rounding decides, as in single precision."
+        return "single-precision", sentence
+    submitted_codes, reference_codes = (to_rows(codes, renderer.width) for codes in both_codes)
+    is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
+    if part := find_unrendered_part(submitted_codes, is_wrong):
+        return "unrendered", f"It is the right picture, except that {part}."
+    if is_speckled(submission):
+        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+        return "shadow-speckles", sentence
+    if is_smoothed(submitted_codes, reference_codes):
+        return "smoothed", "It is the right picture with smooth edges: antialiased or blurred."
+    if has_palette(submitted_codes, reference_codes):
+        return "palette", "It is the right picture in few colours, as from a palette."
+    if is_jpeg_of_reference(submitted_codes, reference_codes):
+        return "format", "It is the right picture after JPEG compression, which changes levels."
+    if edge := find_wrong_edge(is_wrong):
+        return "edge", f"It is the right picture, except in the {edge}."
+    return None
+
+
 class LightErrors(NamedTuple):
     """For each light of a scene and each pixel of a picture, whether the light is wrong."""
 
@@ -380,34 +408,6 @@ def find_wrong_edge(is_wrong: Shaped[Bools, "h w"]) -> str:
         "last column": is_wrong[:, -1],
     }
     return next((name for name, edge in edges.items() if edge.sum() == is_wrong.sum() > 0), "")
-
-
-def find_symptom(submission: Submission) -> tuple[str, str] | None:
-    """Recognise what is wrong with a picture as a whole; None if nothing is recognised.
-
-    Return the keyword and the sentence of the symptom.
-    """
-    renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
-    width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
-    if wrong_count and is_explained_by_rounding(submission):
-        sentence = f"{format_count(wrong_count)} where rounding decides, as in single precision."
-        return "single-precision", sentence
-    pictures = [to_rows(codes, width) for codes in both_codes]
-    is_wrong = (compare_levels(*both_codes) > 1).reshape(-1, width)
-    if part := find_unrendered_part(pictures[0], is_wrong):
-        return "unrendered", f"It is the right picture, except that {part}."
-    if is_speckled(submission):
-        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
-        return "shadow-speckles", sentence
-    if is_smoothed(pictures[0], pictures[1]):
-        return "smoothed", "It is the right picture with smooth edges: antialiased or blurred."
-    if has_palette(pictures[0], pictures[1]):
-        return "palette", "It is the right picture in few colours, as from a palette."
-    if is_jpeg_of_reference(pictures[0], pictures[1]):
-        return "format", "It is the right picture after JPEG compression, which changes levels."
-    if edge := find_wrong_edge(is_wrong):
-        return "edge", f"It is the right picture, except in the {edge}."
-    return None
 
 
 def format_count(count: int, singular: str = "differs", plural: str = "differ") -> str:

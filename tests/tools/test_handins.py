@@ -159,7 +159,7 @@ def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
     assert all(one.sentence.endswith(".") for one in table.values())
     known = {*REFERENCE_FORMULAS} | collect_parameters(REFERENCE_FORMULAS)
     used = set[str]().union(*(collect_parameters(one.formulas) for one in table.values()))
-    assert used - known == {"is_phong", "shader_of_number"}
+    assert used - known == {"is_phong"}
 
 
 def describe_difference(codes: Codes, right: Codes) -> tuple[int, str]:

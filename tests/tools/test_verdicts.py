@@ -169,6 +169,7 @@ FITTED = [
         "have about 0.3 of the light",
     ),
     ("two-boxes", "** (1 / 2.2)", "** 1 / 2.2", "and levels are multiplied by about 0.45"),
+    ("two-boxes", "return codes", "return codes // 24 * 24", "Levels are multiples of 24."),
     ("four-spheres", "part = KD *", "part = 0.4 * KD *", "diffuse term is multiplied by about 0.4"),
     ("four-spheres", "KS * shine", "1.05 * KS * shine", "Highlights are multiplied by about 1.05."),
 ]
