@@ -167,7 +167,10 @@ class Boxes(Shape):
     def find_light_side(
         self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
     ) -> Shaped[Sides, "... n"]:
-        """Determine whether lights are `OUTSIDE` or `INSIDE` boxes; on a face counts as outside."""
+        """Determine whether lights are `OUTSIDE` or `INSIDE` boxes.
+
+        A light on a face counts as outside.
+        """
         distance = self.measure_distance(object_index, light)
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 

@@ -189,8 +189,11 @@ class Shape(ABC):
     ) -> Iterator[Shaped[Floats, "n"]]:
         """Yield the x, then the y and then the z components of rays, in scene axes.
 
-        The rays are given span by span, as in `intersect`.
+        The rays are given span by span.  Those of a span are consecutive in `ray_x`, and have the
+        same `ray_y`.  Each span has `ray_count` rays, or one if that is None.
         """
+        # In scene axes, the direction is ray_x * right + ray_y * down + depth * ahead, where right,
+        # down and ahead are the camera's axes.  The last two terms are the same in a span.
         for right, down, ahead in self.frame.axes.T.tolist():
             span_term = ray_y * down + self.frame.depth * ahead
             yield ray_x * right + repeat_runs(span_term, ray_count)
@@ -203,9 +206,10 @@ class Shape(ABC):
         t: Shaped[Floats, "n"],
         hit_data: Shaped[NDArray[Any], "n"],
     ) -> TangentPlanes:
-        """Compute the tangent planes at hits.
+        """Compute the plane that touches the surface at each hit, for hits on planar faces.
 
-        A subclass with a curved face replaces the normal and the height of the eye at hits on it.
+        The hits are given run by run: a run consists of consecutive hits on one face.  A subclass
+        with a curved face replaces the normal and the height of the eye at hits on it.
 
         Parameters
         ----------
@@ -216,7 +220,8 @@ class Shape(ABC):
         t, hit_data
             The results of `intersect`.
         """
-        face_code = hit_data.take(run_length.cumsum() - run_length)
+        first_hit = run_length.cumsum() - run_length
+        face_code = hit_data.take(first_hit)
         face_axis = face_code.astype(np.intp) >> 1
         normal_sign = np.where(face_code & 1, 1.0, -1.0)
         plane_axis = np.minimum(face_axis, 2)  # for curved faces, any axis will do
@@ -235,8 +240,9 @@ class Shape(ABC):
     def are_rows_bounded_by_ends(self) -> bool:
         """Test whether the first and the last hit of a row bound the hits between them.
 
-        If true, take any hits on one face that are consecutive in one row of the picture: the
-        sphere whose diameter leads from the first hit to the last contains all of them.
+        If the result is True, the following holds for any hits on one face that are consecutive in
+        one row of the picture.  The sphere whose diameter leads from the first of these hits to the
+        last contains all of them.
         """
         return False
 
@@ -302,7 +308,8 @@ class Shape(ABC):
         blocks_all
             True only if the object certainly blocks all segments.
         """
-        may_block, blocks_all = np.full((2, object_index.size), [[True], [False]])
+        may_block = np.ones(object_index.size, dtype=np.bool_)
+        blocks_all = np.zeros(object_index.size, dtype=np.bool_)
         return may_block, blocks_all
 
     # Edges.  A cell is a pixel or a square part of a pixel, and six rays pass through six of its
@@ -378,11 +385,21 @@ class Shape(ABC):
         to_hit: Shaped[Floats, "3 n"],
         max_distance: Shaped[Floats, "n"],
     ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
-        """Yield each face code, with the indices of the hits that are near a face with this code.
+        """Find the hits that are near another face of their object, for each planar face.
 
-        The hit is on another face of the same object.  The near face may be visible, and is less
-        than `max_distance` away from the hit.  If objects have planar faces and a curved face, the
-        subclass adds the hits near the curved face.
+        Yields the code of the other face (2 * axis, plus 1 if the normal that faces the eye points
+        in the direction of the axis), and the indices of hits near it.  Such a hit is less than
+        `max_distance` away from the plane of the face, and the face may be visible.  If objects
+        also have a curved face, the subclass adds the hits near it.
+
+        Parameters
+        ----------
+        run_length
+            Number of hits in each run of consecutive hits on one face.
+        face_axis
+            Axis perpendicular to the face on which the hits of the run lie.
+        to_hit
+            Vectors from the eye to the hits, in camera axes.
         """
         is_eye_inside = self.is_eye_inside[self.objects.to_local(object_index)]
         for axis in self.planar_axes:
@@ -406,7 +423,8 @@ class Shape(ABC):
 
         Of two parallel faces, only the one whose normal points against the ray counts, because the
         other is not visible.  So the results contain the face that is hit, and all faces that the
-        ray just misses.  `cell_angle` is described in `compute_footprint_radii`.
+        ray just misses.  `to_hit` are the vectors from the eye to the hits, in camera axes.
+        `cell_angle` is the angle that half the diagonal of a cell subtends at the eye.
         """
         distance = np.sqrt(dot(to_hit, to_hit))
         for axis in self.planar_axes:
@@ -418,8 +436,10 @@ class Shape(ABC):
                 item_index = find((hit_offset <= 0) == (normal_sign > 0))
                 item_offset = hit_offset[item_index]
                 position = self.get_face_position(object_index[item_index], axis, normal_sign)
+                # The point t * to_hit has the offset t * item_offset, which is that of the face.
                 t = (position - self.frame.eye[axis]) / item_offset
-                cell_radius = t * to_hit[2][item_index] * cell_angle
+                depth = t * to_hit[2][item_index]
+                cell_radius = depth * cell_angle
                 cosine = np.abs(item_offset) / distance[item_index]
                 yield FaceHits(
                     face_code=face_code,
@@ -439,7 +459,10 @@ def _compute_plane_footprints(
 ) -> Shaped[Floats, "n"]:
     """Compute the radius of the part of a plane that is visible in each cell.
 
-    `Shape.compute_footprint_radii` explains the arguments.
+    `cell_radius` is the radius of the circle around the cell at the depth of the plane.  `cosine`
+    belongs to the angle between the plane's normal and the direction to the eye.  `cell_angle` is
+    the angle, in radians, that half the diagonal of the cell subtends at the eye.
     """
-    # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
+    # On the plane, the radius is divided by the cosine.  At the far end of the cell, the cosine is
+    # smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))

@@ -77,12 +77,13 @@ def split_by_octant(
     pair_count = light_count * box_count  # pairs of a light and a box
     # Row 0: whether each box contains vectors with x >= 0.  Row 1: whether with x <= 0.
     has_x, has_y, has_z = np.array([vector_max >= 0, vector_min <= 0]).swapaxes(0, 1)
-    has_part = np.array([z & y & x & keeps_box for z, y, x in product(has_z, has_y, has_x)])
-    # The index of a part is (sign_bits * lights + light) * n + box.  Bit 0 of `sign_bits` is set if
+    # Row i: whether each box may have a part in the octant with the signs i.  Bit 0 of i is set if
     # x is negative, bit 1 if y is, and bit 2 if z is.
-    part_index = find(has_part & keeps_octant.reshape(8, -1, 1))
-    sign_bits = part_index // pair_count
-    box_index = part_index - sign_bits * pair_count
+    has_part = np.array([z & y & x & keeps_box for z, y, x in product(has_z, has_y, has_x)])
+    # The index in the flattened array is (sign_bits * lights + light) * n + box.
+    flat_index = find(has_part & keeps_octant.reshape(8, -1, 1))
+    sign_bits = flat_index // pair_count
+    box_index = flat_index - sign_bits * pair_count
     x, y, z = (
         _bound_component(
             vector_min[axis].take(box_index),
@@ -92,7 +93,7 @@ def split_by_octant(
         for axis in range(3)
     )
     return BoxParts(
-        octant_index=part_index // box_count,
+        octant_index=flat_index // box_count,
         box_index=box_index,
         rectangles=np.array([*_bound_share(x, y, z), *_bound_share(y, x, z)]),
         bounds=_bound_directions(x, y, z),
@@ -102,7 +103,10 @@ def split_by_octant(
 def _bound_component(
     low: Shaped[Floats, "parts"], high: Shaped[Floats, "parts"], is_negative: Shaped[Bools, "parts"]
 ) -> _Range:
-    """Bound the absolute value of a component between `low` and `high` that has the given sign."""
+    """Bound the absolute value of a component that has the given sign.
+
+    The component itself, with its sign, lies between `low` and `high`.
+    """
     return _Range(
         low=np.maximum(np.where(is_negative, -high, low), 0),
         high=np.where(is_negative, -low, high) + MIN_DIVISOR,
@@ -138,9 +142,9 @@ def _bound_directions(x: _Range, y: _Range, z: _Range) -> Shaped[Floats, "8 part
 
 
 def reverse_bounds(bounds: Shaped[Floats, "8 n"]) -> Shaped[Floats, "8 n"]:
-    """Swap and negate the minimum and the negated maximum of each quantity.
+    """Swap the minimum and the negated maximum of each quantity, and negate both.
 
-    Two parts may have a direction in common only if each bound of one part is at most the reversed
-    bound of the other part, which compares each minimum with a maximum.
+    So a row with a minimum then contains the maximum.  Two parts may have a direction in common
+    only if each bound of one part is at most the reversed bound of the other part.
     """
     return -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1)
