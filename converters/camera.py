@@ -19,8 +19,8 @@ from tracer import Camera, Scene, Surfaces, first_hits
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Numbers of rays along each side of the picture.  If too few rays of a grid hit a surface, the next
-# number is tried.
+# Numbers of rays along each side of the picture, in grids that are tried in turn until enough rays
+# hit a surface.
 _RAYS_PER_SIDE = 12, 48, 192
 
 # Minimum number of rays of a grid that must hit a surface.
@@ -41,10 +41,10 @@ class Window(NamedTuple):
     def compute_vectors_from_eye(
         self, x: Shaped[Floats | float, "..."], y: Shaped[Floats | float, "..."]
     ) -> Shaped[Floats, "... 3"]:
-        """Compute the vectors from the eye to points in the window, given by their position in it.
+        """Compute vectors from the eye to points of the window, in the axes of the scene.
 
-        `x` is 0 at the left edge and 1 at the right edge of the window.  `y` is 0 at the upper edge
-        and 1 at the lower edge.
+        A point is given by its position in the window: `x` is 0 at the left edge and 1 at the right
+        edge, and `y` is 0 at the upper edge and 1 at the lower edge.
         """
         right, down, forward = self.axes
         offset_right = self.offset[0] + (np.asarray(x)[..., None] - 0.5) * self.width
@@ -85,8 +85,8 @@ def _normalize(vector: Sequence[float] | Shaped[Floats, "3"]) -> Shaped[Floats, 
 def compute_bounding_box(surfaces: Surfaces) -> Shaped[Floats, "2 3"]:
     """Compute the smallest box that contains all surfaces, with edges along the axes.
 
-    Return its corner with the minimum coordinates in row 0, and the one with the maximum
-    coordinates in row 1.  Both are 0 if there are no surfaces.
+    Row 0 of the result is its lower corner, and row 1 its upper corner.  Both are 0 if there are no
+    surfaces.
     """
     if not len(surfaces):
         return np.zeros((2, 3))

@@ -183,16 +183,24 @@ class EveryLight(mi.SamplingIntegrator):
         radiance = mi.Spectrum(0)
         for emitter in scene.emitters():
             light_sample, intensity = emitter.sample_direction(hit, mi.Point2f(0), is_hit)
-            to_light = light_sample.d
-            reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(to_light), is_hit)
+            to_light = hit.to_local(light_sample.d)
+            reflectance = bsdf.eval(mi.BSDFContext(), hit, to_light, is_hit)
             is_frontlit = is_hit & dr.any(reflectance > 0)
-            ray_length = self._choose_shadow_ray_length(box, hit, light_sample)
-            shadow_ray = mi.Ray3f(hit.p + ray_length * to_light, -to_light)
-            first_hit = scene.ray_intersect_preliminary(shadow_ray, active=is_frontlit)
-            height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(to_light, hit.n))
-            is_lit = is_frontlit & (height_above_plane <= self.tolerance)
+            is_lit = is_frontlit & self._test_light(scene, box, hit, light_sample, is_frontlit)
             radiance += dr.select(is_lit, reflectance * intensity, 0)
         return radiance, is_hit, []
+
+    def _test_light(self, scene, box, hit, light_sample, active):
+        """Test whether no shape blocks the light, for the active rays.
+
+        `box` is the bounding box of the scene, and `light_sample` says how the hit sees the light.
+        """
+        to_light = light_sample.d
+        ray_length = self._choose_shadow_ray_length(box, hit, light_sample)
+        shadow_ray = mi.Ray3f(hit.p + ray_length * to_light, -to_light)
+        first_hit = scene.ray_intersect_preliminary(shadow_ray, active=active)
+        height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(to_light, hit.n))
+        return height_above_plane <= self.tolerance
 
     def _choose_shadow_ray_length(self, box, hit, light_sample):
         """Choose the distance from a hit at which the shadow ray from the light starts.

@@ -2,8 +2,8 @@
 
 A *variant* is one of the ways in which Mitsuba computes.  ``llvm_ad_rgb`` compiles the computations
 to machine code, and ``scalar_rgb`` is slower but always works.  The first needs the shared library
-libLLVM.  If the library is missing, Mitsuba reports an error.  With some versions of it (15 and 16,
-for example), however, the first *kernel* (compiled computation) aborts the whole process.
+libLLVM.  If the library is missing, Mitsuba reports an error.  But with some versions of the
+library, such as 15 and 16, the first *kernel* (compiled computation) aborts the whole process.
 Therefore each process that uses Mitsuba first lets a child process run a small kernel.
 """
 
@@ -44,9 +44,9 @@ hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0, 3), mi.Vector3f(0, 0, -1)))
 assert abs(dr.mean(hit.t)[0] - 2) < .1
 """
 
-# The child process must not outlive its parent for long.  Ctrl-C reaches both.  It must end the
-# child at once, and not raise KeyboardInterrupt, after which Dr.Jit may never end.  If only the
-# parent ends, the child ends after {seconds} seconds at the latest.
+# The child process runs this first, so that it does not outlive its parent for long.  Ctrl-C
+# reaches both.  It ends the child at once, because Dr.Jit may never end after a KeyboardInterrupt.
+# If only the parent ends, an alarm ends the child after {seconds} seconds.
 _CHILD_SETUP = """
 from signal import *
 if getsignal(SIGINT) is default_int_handler:
@@ -87,11 +87,10 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> VariantC
         return VariantChoice(variant=SCALAR, reason="the libLLVM found here hangs")
     if child.returncode == 0:
         return VariantChoice(variant=LLVM, reason="libLLVM works")
-    if child.returncode < 0:
+    if child.returncode < 0:  # on Unix, a signal ended the child
         signal_name = signal.Signals(-child.returncode).name
-        return VariantChoice(
-            variant=SCALAR, reason=f"the libLLVM found here kills the process with {signal_name}"
-        )
+        reason = f"the libLLVM found here kills the process with {signal_name}"
+        return VariantChoice(variant=SCALAR, reason=reason)
     error_lines = child.stderr.strip().splitlines() or ["no message"]
     return VariantChoice(variant=SCALAR, reason=f"no usable libLLVM: {error_lines[-1].strip()}")
 

@@ -307,6 +307,7 @@ class CellAnalysis:
         occluder_index = self._find_nearest_covers(covers_cell, file_index)[cell_index]
         has_occluder = (occluder_index >= 0) & (occluder_index != np.arange(cell_index.size))
         is_in_same_plane = (plane_id == plane_id[:, occluder_index]).all(axis=0)
+        # If the inverse distance is smaller everywhere, the face is farther away everywhere.
         gap = inverse_distance.subtract_independent(inverse_distance[occluder_index])
         _, max_gap = gap.find_bounds()
         comes_later = file_index > file_index[occluder_index]
@@ -362,10 +363,12 @@ class CellAnalysis:
         """
         faces, face_index, frame = self.faces, self.cells.face_index, self.scene.frame
         axes, eye = frame.axes.T, frame.eye[:, None]
+        # The rays of a cell, along the scene's axes, are between two corners.
         rays = self._rays[:, :, self.cells.cell_index]
         center_ray = axes @ rays[:, 0]
         spread = np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center_ray - spread, center_ray + spread
+        # A visible point t d has t between near and far.
         inverse_far, inverse_near = self.inverse_distance.find_bounds()
         near = 1 / inverse_near
         far = np.where(inverse_far > 0, 1 / inverse_far, np.inf)
@@ -440,36 +443,44 @@ class CellAnalysis:
         # the condition is u + v s >= 0 with
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
-        scene, faces, cells = self.scene, self.faces, self.cells
+        # Below, each size bounds the absolute values of the terms of a vector or a polynomial.
+        scene = self.scene
         radius, center = scene.spheres.radius[sphere_index], scene.spheres.center[:, sphere_index]
-        position = scene.lights.from_eye[light_index].T
+        light = scene.lights.from_eye[light_index].T
         to_center = scene.to_center[:, light_index, sphere_index]
-        squares = np.square([position, center, to_center]).sum(axis=1)
-        squared_position, squared_center, squared_to_center = squares
         squared_radius = radius**2
-        position_length, center_length = np.sqrt([squared_position, squared_center])
-        # The sizes bound the terms of q and w.
-        linear_size = 2 * np.abs(faces.linear_coef[:, cells.face_index[pair_index]]).sum(axis=0)
-        q_size = scene.frame.max_ray_size * (1 + position_length * linear_size)
-        w_size = scene.frame.max_ray_size * (1 + center_length * linear_size)
-        rays = self._rays[:, :, cells.cell_index[pair_index]]
-        linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
-        q = rays - position[:, None] * linear_term
-        w = rays - center[:, None] * linear_term
+        squares = np.square([light, center, to_center]).sum(axis=1)
+        squared_light, squared_center, squared_to_center = squares
+        q, q_size = self._subtract_from_rays(pair_index, light)
+        w, w_size = self._subtract_from_rays(pair_index, center)
         u, c_cross_w = enclose_cone(to_center, radius, q, w, (q_size, w_size))
         c_cross_center = compute_cross_product(to_center, center[:, None])
-        dot_of_crosses = (c_cross_center * c_cross_w).sum(axis=0)
-        v = np.zeros((8, pair_index.size))
-        v[:X_SQUARED] = 2 * (dot_of_crosses - squared_radius * (position[:, None] * q).sum(axis=0))
-        v_size = squared_to_center * center_length * w_size
-        v_size += squared_radius * position_length * q_size
-        v[ERROR] = 16 * ROUNDING * v_size
         s_squared = self.root_term_squared[pair_index]
-        squared_cross = (c_cross_center * c_cross_center).sum(axis=(0, 1))
-        u += s_squared * (squared_radius * squared_position - squared_cross)
-        u_size = squared_to_center * squared_center + squared_radius * squared_position
+        u += s_squared * (squared_radius * squared_light - np.square(c_cross_center).sum((0, 1)))
+        u_size = squared_to_center * squared_center + squared_radius * squared_light
         u.widen(16 * ROUNDING * u_size * s_squared.max_abs)
+        v = np.zeros((8, pair_index.size))
+        dot_of_crosses = (c_cross_center * c_cross_w).sum(axis=0)
+        v[:X_SQUARED] = 2 * (dot_of_crosses - squared_radius * (light[:, None] * q).sum(axis=0))
+        v_size = squared_to_center * np.sqrt(squared_center) * w_size
+        v_size += squared_radius * np.sqrt(squared_light) * q_size
+        v[ERROR] = 16 * ROUNDING * v_size
         return RayFunctions(pair_index=pair_index, smooth_part=u, root_factor=Enclosures(v))
+
+    def _subtract_from_rays(
+        self, pair_index: Shaped[Ints, "n"], points: Shaped[Floats, "3 n"]
+    ) -> tuple[Shaped[Floats, "3 3 n"], Shaped[Floats, "n"]]:
+        """Compute d - p k.d for the rays of each pair and a point p; bound the sizes of its terms.
+
+        It is the vector from p to the visible point t d, divided by t, without the root term of
+        1 / t = k.d + s.  It is linear in X and Y (see `vectors`).
+        """
+        rays = self._rays[:, :, self.cells.cell_index[pair_index]]
+        linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
+        linear_coef = self.faces.linear_coef[:, self.cells.face_index[pair_index]]
+        scale = 2 * np.abs(linear_coef).sum(axis=0) * np.sqrt(np.square(points).sum(axis=0))
+        size = self.scene.frame.max_ray_size * (1 + scale)
+        return rays - points[:, None] * linear_term, size
 
     def _make_box_shadow_conditions(
         self, casts_no_shadow: Shaped[Bools, "triples"]
@@ -513,7 +524,8 @@ class CellAnalysis:
         objects_differ = object_index[0] != object_index[1]
         may_intersect = objects_differ & (plane_id[:, 0] != plane_id[:, 1]).any(axis=0)
         pair_index, face_indices = pair_indices[0, may_intersect], face_indices[:, may_intersect]
-        # If the second face is a sphere, both are.  The difference of their equations is linear.
+        # If the second face is a sphere, both are.  Both equations have the term x^2, so their
+        # difference is linear, and it is 0 in the plane of the intersection.
         equation, plane = faces.face_equation[:, face_indices].swapaxes(0, 1)
         is_sphere = ~faces.is_planar[face_indices[1]]
         plane[:, is_sphere] += equation[:, is_sphere] * [[-1], [-1], [-1], [-1], [1]]

@@ -146,21 +146,23 @@ def estimate_means(
     """
     cell_count = analysis.cells.x.size
     max_radiance = _bound_radiance(analysis.cells, contributions)
+    # Divide cells into regions.
     all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
     has_many_edges = np.bincount(all_strips.cell_index, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
-    is_skipped = is_skipped | has_many_edges | is_black
-    strips = all_strips.take(~is_skipped[all_strips.cell_index])
-    regions = _divide_cells(strips, ~is_skipped)
+    is_sampled = ~(is_skipped | has_many_edges | is_black)
+    strips = all_strips.take(is_sampled[all_strips.cell_index])
+    regions = _divide_cells(strips, is_sampled)
+    # Estimate the mean of each region, and then of each cell, with their errors.
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
     region_mean, region_error = _bound_region_means(regions, radiance, sample_error, max_radiance)
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
-    mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
+    mean[:, ~is_sampled] = max_radiance[:, ~is_sampled] / 2
     cell_error = sum_by_index(regions.cell_index, regions.area * region_error, cell_count)
     cell_error += sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
-    cell_error[is_skipped] = np.inf
+    cell_error[~is_sampled] = np.inf
     # No error is larger than the distance from the mean to 0 or to the maximum.  This bound also
     # replaces an error of NaN.
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
