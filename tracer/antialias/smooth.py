@@ -43,26 +43,44 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
     NaN if neither of its neighbours in the row has the id of the pixel, or neither of those in the
     column.  Results at the border of the rectangle are meaningless.
     """
-    # Over a pixel, the mean of a smooth function is about f + (f_xx + f_yy) / 24: the value at the
-    # center and the second derivatives there.  The derivative along an axis is about the difference
-    # to the next pixel, minus the difference from the previous pixel.
+    # Over a pixel, the mean of a smooth function is about f + (f_xx + f_yy) / 24, from the value at
+    # the center and the second derivatives there.
     radiance = pixel_samples.radiance
-    pixel_id = pixel_samples.id
     correction = np.zeros(radiance.shape)
-    error = np.zeros(pixel_id.size)
+    error = np.zeros(pixel_samples.id.size)
     for neighbor_step in (1, width):  # along the row, then along the column
         inner_pixels = slice(neighbor_step, -neighbor_step)
-        has_same_id = pixel_id[neighbor_step:] == pixel_id[:-neighbor_step]
-        difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
-        axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
-        matches_previous = has_same_id[:-neighbor_step]
-        matches_next = has_same_id[neighbor_step:]
-        # If only one neighbour has the same id, its difference from the pixel estimates the error.
-        max_correction = np.abs(axis_correction).max(axis=0)
-        axis_error = np.where(matches_previous | matches_next, max_correction, np.nan)
-        error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
-        correction[:, inner_pixels] += axis_correction * (matches_previous & matches_next)
+        along_axis = _estimate_curvature(pixel_samples, neighbor_step)
+        correction[:, inner_pixels] += along_axis.correction
+        error[inner_pixels] = np.maximum(error[inner_pixels], along_axis.error)
     return SmoothMeans(radiance=radiance + correction, error=error)
+
+
+class _AxisCurvature(NamedTuple):
+    """Corrections for the curvature of the radiance along one axis, in m pixels."""
+
+    correction: Shaped[Floats, "3 m"]  # 0 unless the pixel has both neighbours' id
+    error: Shaped[Floats, "m"]  # NaN if the pixel has neither neighbour's id
+
+
+def _estimate_curvature(samples: CenterSamples, neighbor_step: int) -> _AxisCurvature:
+    """Compare each pixel with the previous and the next pixel along a row or a column.
+
+    The index of the next pixel is larger by `neighbor_step`.  The results omit the first and the
+    last `neighbor_step` pixels.
+    """
+    has_same_id = samples.id[neighbor_step:] == samples.id[:-neighbor_step]
+    difference = samples.radiance[:, neighbor_step:] - samples.radiance[:, :-neighbor_step]
+    difference *= has_same_id
+    # The second derivative is about the difference between two differences.
+    correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
+    matches_previous = has_same_id[:-neighbor_step]
+    matches_next = has_same_id[neighbor_step:]
+    # If only one neighbour has the same id, its difference from the pixel estimates the error.
+    max_correction = np.abs(correction).max(axis=0)
+    correction *= matches_previous & matches_next
+    error = np.where(matches_previous | matches_next, max_correction, np.nan)
+    return _AxisCurvature(correction=correction, error=error)
 
 
 def estimate_quarter_means(
