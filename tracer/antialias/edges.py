@@ -53,7 +53,7 @@ from tracer.arrays import (
     take_columns,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.shape import NO_AXIS, Shape
+from tracer.geometry.shape import NO_AXIS, Shape, compute_footprint_radii
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import PreparedScene
 
@@ -353,15 +353,9 @@ def _compute_footprint_radii(hits: Hits, cell_width: float) -> Shaped[Floats, "n
     It is in the scene's unit of length.  The cells are `cell_width` pixels wide.
     """
     cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
-    distance = hits.distance
-    footprint_radius = np.empty(distance.size)
-    for group in hits.groups:
-        cell_radius = hits.from_eye[2][group.interval] * cell_angle
-        cosine = group.expand_to_hits(group.planes.eye_height) / distance[group.interval]
-        footprint_radius[group.interval] = group.shape.compute_footprint_radii(
-            group.run_object, group.run_length, cell_radius, cosine, cell_angle
-        )
-    return footprint_radius
+    cell_radius = hits.from_eye[2] * cell_angle
+    cosine = hits.eye_height / hits.distance
+    return compute_footprint_radii(cell_radius, cosine, cell_angle)
 
 
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:

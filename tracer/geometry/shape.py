@@ -356,27 +356,6 @@ class Shape(ABC):
         """
         raise NotImplementedError
 
-    def compute_footprint_radii(
-        self,
-        object_index: Shaped[Ints, "runs"],
-        run_length: Shaped[Ints, "runs"],
-        cell_radius: Shaped[Floats, "n"],
-        cosine: Shaped[Floats, "n"],
-        cell_angle: float,
-    ) -> Shaped[Floats, "n"]:
-        """Compute the radius of the part of the surface that is visible in a cell, around each hit.
-
-        Parameters
-        ----------
-        cell_radius
-            Radius of the circle around the cell at the depth of the hit.
-        cosine
-            Cosine of the angle between the normal and the direction to the eye.
-        cell_angle
-            Angle that half the diagonal of the cell subtends at the eye, in radians.
-        """
-        return _compute_plane_footprints(cell_radius, cosine, cell_angle)
-
     def find_near_faces(
         self,
         object_index: Shaped[Ints, "runs"],
@@ -445,7 +424,7 @@ class Shape(ABC):
                     face_code=face_code,
                     item_index=item_index,
                     t=t,
-                    footprint_radius=_compute_plane_footprints(cell_radius, cosine, cell_angle),
+                    footprint_radius=compute_footprint_radii(cell_radius, cosine, cell_angle),
                 )
 
 
@@ -454,15 +433,22 @@ def _decode_face(face_code: int) -> tuple[int, float]:
     return face_code >> 1, 1.0 if face_code & 1 else -1.0
 
 
-def _compute_plane_footprints(
+def compute_footprint_radii(
     cell_radius: Shaped[Floats, "n"], cosine: Shaped[Floats, "n"], cell_angle: float
 ) -> Shaped[Floats, "n"]:
-    """Compute the radius of the part of a plane that is visible in each cell.
+    """Compute the radius of the part of a surface that is visible in a cell, around each hit.
 
-    `cell_radius` is the radius of the circle around the cell at the depth of the plane.  `cosine`
-    belongs to the angle between the plane's normal and the direction to the eye.  `cell_angle` is
-    the angle, in radians, that half the diagonal of the cell subtends at the eye.
+    The surface counts as planar: near the silhouettes of curved surfaces, the radius is too large,
+    which was measured to change no error and no time.
+
+    Parameters
+    ----------
+    cell_radius
+        Radius of the circle around the cell at the depth of the hit.
+    cosine
+        Cosine of the angle between the normal and the direction to the eye.
+    cell_angle
+        Angle that half the diagonal of the cell subtends at the eye, in radians.
     """
-    # On the plane, the radius is divided by the cosine.  At the far end of the cell, the cosine is
-    # smaller by at most `cell_angle`.
+    # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))

@@ -322,27 +322,6 @@ class Spheres(Shape):
         center = take(self.from_eye, self.objects.to_local(object_index))
         return map_xyz(np.subtract, ray, scale(center, inverse_t))
 
-    def compute_footprint_radii(
-        self,
-        object_index: Shaped[Ints, "runs"],
-        run_length: Shaped[Ints, "runs"],
-        cell_radius: Shaped[Floats, "n"],
-        cosine: Shaped[Floats, "n"],
-        cell_angle: float,
-    ) -> Shaped[Floats, "n"]:
-        """Compute the radius of the part of each sphere that is visible in a cell around a hit.
-
-        `cell_radius` is the radius of the circle around the cell at the depth of the hit, and
-        `cosine` belongs to the angle between the normal and the direction to the eye.  `cell_angle`
-        is not needed.
-        """
-        # A strip of width r inside the silhouette of a sphere of radius R shows a part of the
-        # sphere that extends sqrt(R^2 - (R - r)^2) in depth.  By Pythagoras, it is sqrt(2 r R)
-        # wide.
-        curvature = repeat_runs(self.curvature[self.objects.to_local(object_index)], run_length)
-        max_width = np.sqrt(2 * cell_radius / curvature)
-        return np.asarray(np.fmin(cell_radius / cosine, max_width))
-
 
 def _find_screen_bounds(
     frame: CameraFrame, center: Shaped[Triple, "n"], radius: Shaped[Floats, "n"]

@@ -88,7 +88,7 @@ class Hits(NamedTuple):
     def eye_height(self) -> Shaped[Floats, "n"]:
         """Distance of the eye from the tangent plane at each hit."""
         group_heights = [group.expand_to_hits(group.planes.eye_height) for group in self.groups]
-        return np.concatenate(group_heights)
+        return np.concatenate([np.zeros(0), *group_heights])
 
     @property
     def normal(self) -> Shaped[Triple, "n"]:
