@@ -68,6 +68,7 @@ def find_object_spans(
     pad
         Length by which to widen each span on both sides.
     """
+    # Candidates are pairs of an object and a band that the object's bounding rectangle overlaps.
     bounds = bounds.select(shape.objects.slice)
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
     first_band = band_top.searchsorted(bounds.top[in_range_index] - pad - height)
@@ -236,6 +237,7 @@ class Scattered(Samples):
         spans = find_object_spans(
             shape, bounds, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
+        # Pixel rows are numbered from 1 in `sort_key`, and bands from 0.
         left_key = _encode_position(spans.band + 1, spans.left)
         right_key = _encode_position(spans.band + 1, spans.right)
         span_start = self.sort_key.searchsorted(left_key)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import CameraFrame, compute_frame
 from tracer.geometry.numbering import get_object_range
@@ -189,27 +189,34 @@ class PreparedScene:
             if light_slice.start in self._cache:
                 return self._cache[light_slice.start]
             if sum(lights.nbytes for lights in self._cache.values()) < _MAX_CACHED_BYTES:
-                return self._cache.setdefault(light_slice.start, self.prepare_lights(light_slice))
+                lights = self.prepare_lights(light_slice)
+                self._cache[light_slice.start] = lights
+                return lights
         return self.prepare_lights(light_slice)
 
     def prepare_lights(self, light_slice: slice = slice(None)) -> Lights:
         """Prepare some or all lights, in the order of the file, without using the cache."""
         lights = self._lights[light_slice]
         positions = np.array([light.position for light in lights]).reshape(-1, 3)
-        x, y, z = positions.T[:, :, None]
+        x, y, z = positions.T[:, :, None]  # each has a row for each light, and one column
         shapes = self._all_shapes
         sides = [shape.find_light_side(shape.objects.list_indices(), (x, y, z)) for shape in shapes]
         boxes = [shape.compute_bounding_boxes() for shape in shapes]
         box_min, box_max = np.concatenate(boxes, axis=2)
-        is_visible = self.bounds.is_in_picture(self.frame)
+        grid = build_light_grid(
+            light_position=positions,
+            box_min=box_min,
+            box_max=box_max,
+            position_error=self.position_error,
+            is_visible=self.bounds.is_in_picture(self.frame),
+            is_occluder=~self.is_duplicate,
+        )
         return Lights(
             position=positions,
             from_eye=np.column_stack(self.frame.point_to_camera(positions)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
-            grid=build_light_grid(
-                positions, box_min, box_max, self.position_error, is_visible, ~self.is_duplicate
-            ),
+            grid=grid,
         )
 
 
@@ -230,13 +237,25 @@ def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
     is_duplicate = np.zeros(len(surfaces), dtype=np.bool_)
     for kind, columns in surfaces.tables.items():
         objects = get_object_range(surfaces, kind).slice
-        if objects.stop - objects.start < 2:
-            continue
-        numbers = [row for column in columns.values() for row in np.atleast_2d(column.T)]
-        # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
-        factors = _HASH_FACTORS[: len(numbers)]
-        hash_terms = [factor * row for factor, row in zip(factors, numbers, strict=True)]
-        sorted_index = np.lexsort((surfaces.file_index[objects], np.sum(hash_terms, axis=0)))
-        is_first = mark_run_starts(*(row[sorted_index] for row in numbers))
-        is_duplicate[objects][sorted_index] = ~is_first
+        if objects.stop - objects.start > 1:
+            # A column of vectors becomes three rows, and a column of numbers one row.
+            numbers = [row for column in columns.values() for row in np.atleast_2d(column.T)]
+            is_duplicate[objects] = _mark_repeated(numbers, surfaces.file_index[objects])
     return is_duplicate
+
+
+def _mark_repeated(
+    numbers: list[Shaped[Floats, "n"]], file_index: Shaped[Ints, "n"]
+) -> Shaped[Bools, "n"]:
+    """Mark the objects whose numbers all equal those of an object with a smaller `file_index`.
+
+    Each array in `numbers` has one number for each object.
+    """
+    # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
+    factors = _HASH_FACTORS[: len(numbers)]
+    hash_terms = [factor * row for factor, row in zip(factors, numbers, strict=True)]
+    sorted_index = np.lexsort((file_index, np.sum(hash_terms, axis=0)))
+    is_first = mark_run_starts(*(row[sorted_index] for row in numbers))
+    is_repeated = np.empty(file_index.size, dtype=np.bool_)
+    is_repeated[sorted_index] = ~is_first
+    return is_repeated
