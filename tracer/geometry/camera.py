@@ -71,24 +71,24 @@ class CameraFrame(NamedTuple):
         return dot(vectors, (right, down, ahead))
 
     def to_ray_x(self, x: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Compute the rightward components of the rays through positions in the picture."""
+        """Compute the rightward component of the ray through each x in the picture, in pixels."""
         return self.center_right + (x - self.width / 2) * self.pixel_width
 
     def to_ray_y(self, y: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Compute the downward components of the rays through positions in the picture."""
+        """Compute the downward component of the ray through each y in the picture, in pixels."""
         return self.center_down + (y - self.height / 2) * self.pixel_height
 
     def to_picture_x(self, ray_x: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Compute the positions in the picture of rays with these rightward components."""
+        """Compute the x in the picture, in pixels, of rays with these rightward components."""
         return (ray_x - self.center_right) / self.pixel_width + self.width / 2
 
     def to_picture_y(self, ray_y: Shaped[Floats, "..."]) -> Shaped[Floats, "..."]:
-        """Compute the positions in the picture of rays with these downward components."""
+        """Compute the y in the picture, in pixels, of rays with these downward components."""
         return (ray_y - self.center_down) / self.pixel_height + self.height / 2
 
     @property
     def max_ray_size(self) -> float:
-        """Upper bound on |ray_x| + |ray_y| + depth for the directions of all camera rays."""
+        """Upper bound on |ray_x| + |ray_y| + depth for the rays through the picture."""
         center_size = abs(self.center_right) + abs(self.center_down) + self.depth
         return center_size + self.width * self.pixel_width + self.height * self.pixel_height
 
@@ -103,6 +103,7 @@ def compute_frame(
     """
     view_direction = normalize(camera.view_dir)
     # Shirley's axes point right, up and back; those of a CameraFrame point right, down and ahead.
+    # The normal of the window may point either way in the scene file.
     back = normalize(camera.normal)
     if back @ view_direction > 0:
         back = -back

@@ -46,14 +46,15 @@ class ShapeHits(NamedTuple):
     ) -> Shaped[Floats, "n"]:
         """Compute the height of a point above the tangent plane at each hit.
 
-        The height is positive on the side of the eye.  For planar faces, it is computed from the
-        position of the point, in scene axes; for curved faces, from the vectors that lead from the
-        hits to the point, in camera axes.
+        The height is positive on the side of the eye.  The position `point` is in scene axes, and
+        is used for planar faces.  The vectors `to_point` lead from the hits to the point, in camera
+        axes, and are used for curved faces.
         """
         planes = self.planes
         if not self.shape.has_planar_faces:
             return dot(planes.normal, to_point)
-        # In scene axes, a point in the plane of a face has a height of exactly 0.
+        # In scene axes, a point in the plane of a face has a height of exactly 0.  For curved faces,
+        # the axis is clipped, and the height is replaced below.
         coordinate = point.take(planes.face_axis, mode="clip")
         height: Floats = self.repeat_runs(planes.normal_sign * (coordinate - planes.face_position))
         if not self.shape.has_curved_face:
@@ -106,7 +107,7 @@ class Hits(NamedTuple):
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def get_object_values(self, values: Shaped[NDArray[Any], "objects"]) -> Any:
-        """Return, for each hit, the value of the object that it lies on."""
+        """Return, as a new array, the value of the object that each hit lies on."""
         return values[self.run_object].repeat(np.diff(self.run_start))
 
     def get_points(self, hit_index: Shaped[Ints, "k"] | slice) -> Shaped[Triple, "k"]:

@@ -29,9 +29,9 @@ _BITS_PER_OCTAVE = 2**52
 
 
 def compute_samples_per_side(samples: Samples) -> float:
-    """Compute the number of samples along one side of a pixel, averaged over x and y.
+    """Compute the number of samples along one side of a pixel.
 
-    The average is a weighted geometric mean.
+    It is a weighted geometric mean of the numbers along x and along y.
     """
     x_count, y_count = samples.per_pixel
     return float(x_count**_X_WEIGHT * y_count**_Y_WEIGHT)
