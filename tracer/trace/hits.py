@@ -53,8 +53,8 @@ class ShapeHits(NamedTuple):
         planes = self.planes
         if not self.shape.has_planar_faces:
             return dot(planes.normal, to_point)
-        # In scene axes, a point in the plane of a face has a height of exactly 0.  For curved faces,
-        # the axis is clipped, and the height is replaced below.
+        # In scene axes, a point in the plane of a face has a height of exactly 0.  For curved
+        # faces, the axis is clipped; these heights are replaced below.
         coordinate = point.take(planes.face_axis, mode="clip")
         height: Floats = self.repeat_runs(planes.normal_sign * (coordinate - planes.face_position))
         if not self.shape.has_curved_face:
