@@ -51,7 +51,11 @@ print("Python", platform.python_version() + "t" * (not has_lock), end="")
 
 
 def measure_scene(name: str, size: tuple[int, int]) -> str:
-    """Time a scene with one thread and with all, and return a row of the table."""
+    """Time a scene of this project with one thread and with all, and return a row of the table.
+
+    `size` is the width and the height of the picture in pixels.  Raise Failure if the picture
+    depends on the number of threads.
+    """
     width, height = size
     path = next(path for path in list_scene_files() if path.stem == name)
     scene = replace(load_scene(path), width=width, height=height)
@@ -74,10 +78,12 @@ def measure_commands(python: str, inputs: dict[str, list[str]]) -> Iterator[str]
     for input_name, paths in inputs.items():
         command = [python, "-m", "tracer", "--quiet", *paths, "--processes"]
         tasks = {
-            count: make_command_task([*command, str(count)]) for count in (1, count_processors())
+            "one": make_command_task([*command, "1"]),
+            "all": make_command_task([*command, str(count_processors())]),
         }
         timings = time_alternately(tasks, _MIN_COMMAND_ROUNDS)
-        one, several = (timings[count].divided_by(len(paths)) for count in tasks)
+        one = timings["one"].divided_by(len(paths))
+        several = timings["all"].divided_by(len(paths))
         yield f"| {name}: {input_name} | {one} | {several} | {one.median / several.median:.2f}× |"
 
 

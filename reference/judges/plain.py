@@ -358,13 +358,15 @@ class _PlainTracer:
     ) -> Shaped[Roots, "3 n"]:
         """Intersect rays with the three slabs between opposite sides of a box.
 
-        `box_index` is a surface index.  A ray enters a slab at the first t, and leaves it at the
-        second; the first is larger if the ray misses the slab.  If `is_closed`, a ray that lies in
-        the plane of a side is in the slab.
+        `box_index` is a surface index.  Return t at which rays enter each slab, and t at which they
+        leave it.  The first t is larger if a ray misses the slab.  If `is_closed`, a ray that lies
+        in the plane of a side is in the slab.
         """
-        corners = (corner - origin for corner in self.shapes[box_index])
-        low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
+        min_corner, max_corner = self.shapes[box_index]
+        low = self.snap_to_zero(min_corner - origin, self.scene_size)
+        high = self.snap_to_zero(max_corner - origin, self.scene_size)
         is_in_slab = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
+        # A ray parallel to the sides never enters or leaves: it is always inside, or never.
         parallel_far = np.where(is_in_slab, self.to_precision(np.inf), self.to_precision(-np.inf))
         t_low, t_high = low / direction, high / direction
         near = np.where(direction == 0, -parallel_far, np.minimum(t_low, t_high))
@@ -407,14 +409,28 @@ class _PlainTracer:
             light_position = self.light_positions[light_index]
             is_hit_lit = self.test_light(own_index, points, normals, light_position)
             is_lit[light_index, ray_index] = is_hit_lit
-            to_light = _normalise(light_position - points)
-            to_eye = -_normalise(direction)
-            for surface_index in np.unique(own_index[is_hit_lit]).tolist():
-                hit_index = np.flatnonzero(is_hit_lit & (own_index == surface_index))
-                unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))
-                reflected = self.compute_reflected_radiance(surface_index, *unit_vectors)
-                radiance[ray_index[hit_index]] += reflected * light.intensity
+            unit_vectors = normals, _normalise(light_position - points), -_normalise(direction)
+            reflected = self.reflect_light(own_index, is_hit_lit, unit_vectors)
+            radiance[ray_index] += reflected * light.intensity
         return TracedRays(radiance=radiance, surface_index=visible_index, is_lit=is_lit)
+
+    def reflect_light(
+        self,
+        own_index: Shaped[NDArray[np.intp], "n"],
+        is_lit: Shaped[NDArray[np.bool_], "n"],
+        unit_vectors: tuple[Shaped[Array, "3 n"], Shaped[Array, "3 n"], Shaped[Array, "3 n"]],
+    ) -> Shaped[NDArray[np.float64], "n 3"]:
+        """Compute the radiance that points reflect from a light of intensity 1; 0 if not lit.
+
+        `own_index` is the index of the surface on which each point lies.  The unit vectors are the
+        normals, and the directions to the light and to the eye.
+        """
+        radiance = np.zeros((own_index.size, 3))
+        for surface_index in np.unique(own_index[is_lit]).tolist():
+            hit_index = np.flatnonzero(is_lit & (own_index == surface_index))
+            vectors = (vector.take(hit_index, 1) for vector in unit_vectors)
+            radiance[hit_index] = self.compute_reflected_radiance(surface_index, *vectors)
+        return radiance
 
     def find_closest_hits(
         self, direction: Shaped[Array, "3 n"]
@@ -551,7 +567,7 @@ class _PlainTracer:
         to_light: Shaped[Array, "3 n"],
         to_eye: Shaped[Array, "3 n"],
     ) -> Shaped[NDArray[np.float64], "n 3"]:
-        """Compute the radiance that surface points reflect from a light of intensity 1.
+        """Compute the radiance that lit points of one surface reflect from a light of intensity 1.
 
         All vectors are unit vectors.  The Lambert term is the diffuse colour times n.l, with the
         normal n and the vector l to the light.  The Blinn-Phong term is the specular colour times
