@@ -12,7 +12,7 @@ from typing import Annotated as Shaped
 
 import numpy as np
 
-from tracer.arrays import Floats, Triple, cross, dot
+from tracer.arrays import Bools, Floats, Sides, Triple, cross, dot
 
 
 def find_edge_planes(
@@ -33,23 +33,39 @@ def find_edge_planes(
     # For each axis: 1 if the box lies above the viewpoint, -1 if it lies below, and otherwise 0.
     box_side = (low > 0).astype(np.int8) - (high < 0)
     normals = np.zeros((3, 6, low.shape[1]))
-    for axis, is_mirrored in np.ndindex(3, 2):
-        u = (axis + 1) % 3
-        v = (axis + 2) % 3
+    for axis, is_first in np.ndindex(3, 2):
         # Seen along the axis, the box is a rectangle with the axes u and v.  Its first and last
-        # corners, in counterclockwise order around the viewpoint, are silhouette edges.  The first
-        # corner is computed as the last corner of the mirror image.
-        side_u = box_side[u]
-        side_v = -box_side[v] if is_mirrored else box_side[v]
-        corner_u = np.where((side_v < 0) | ((side_v == 0) & (side_u < 0)), high[u], low[u])
-        is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
-        corner_v = np.where(is_high_v ^ bool(is_mirrored), high[v], low[v])
-        sign = np.where((side_u != 0) | (side_v != 0), 1 - 2 * is_mirrored, 0)
-        plane_index = 2 * axis + is_mirrored
+        # corners, in counterclockwise order around the viewpoint, are silhouette edges.
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        if is_first:
+            # The first corner is the last corner of the mirror image, in which v is reversed.
+            is_high_u, is_low_v = _find_last_corner(box_side[u], -box_side[v])
+            is_high_v = ~is_low_v
+        else:
+            is_high_u, is_high_v = _find_last_corner(box_side[u], box_side[v])
+        corner_u = np.where(is_high_u, high[u], low[u])
+        corner_v = np.where(is_high_v, high[v], low[v])
+        # If the viewpoint is inside the rectangle, there is no edge.
+        is_outside = (box_side[u] != 0) | (box_side[v] != 0)
+        sign = np.where(is_outside, -1 if is_first else 1, 0)
         # The normal is a cross product with the axis: no subtraction, so no cancellation.
-        normals[u, plane_index] = sign * corner_v
-        normals[v, plane_index] = -sign * corner_u
+        normals[u, 2 * axis + is_first] = sign * corner_v
+        normals[v, 2 * axis + is_first] = -sign * corner_u
     return normals[0], normals[1], normals[2]
+
+
+def _find_last_corner(
+    side_u: Shaped[Sides, "n"], side_v: Shaped[Sides, "n"]
+) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
+    """Find the last corner of rectangles, counterclockwise around a viewpoint outside of them.
+
+    The sides tell where a rectangle lies along its axes u and v, relative to the viewpoint: 1 if
+    above, -1 if below, 0 if on both sides.  The results tell whether the corner has the larger u,
+    and whether it has the larger v.
+    """
+    is_high_u = (side_v < 0) | ((side_v == 0) & (side_u < 0))
+    is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
+    return is_high_u, is_high_v
 
 
 def evaluate_box_edges(
