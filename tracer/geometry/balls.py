@@ -1,4 +1,9 @@
-"""Whether the surfaces of spheres cross segments and capsules, all in scene axes."""
+"""Whether spheres block segments: those of a capsule, or one that begins or ends at a sphere.
+
+A sphere blocks a segment if the segment enters or leaves the sphere between its ends.  A *capsule*
+is the set of all points that are at most its radius away from a segment, its axis.  All positions
+are in scene axes.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +25,8 @@ def test_capsules_on_balls(
     """Test whether the surface of each sphere crosses some, and whether all, segments in a capsule.
 
     The segments start at most `capsule_radius` away from `axis_start`, and end at `axis_end`.  So
-    they stay within this distance from the *axis* of the capsule, which is the segment between
-    these points.  The first result is False only if certainly no segment crosses the surface.  The
+    they stay within this distance from the axis of the capsule, which is the segment between these
+    points.  The first result is False only if certainly no segment crosses the surface.  The
     second is True only if certainly all segments do.
     """
     axis = map_xyz(np.subtract, axis_end, axis_start)
