@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated as Shaped
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,11 @@ _PIXELS_PER_BAND = 500_000
 Image.MAX_IMAGE_PIXELS = None  # Pillow's own limit is higher, and prints a warning
 
 JPEG_BLOCK = 16
-"""Maximum side of a JPEG block in pixels: blocks, counted from the upper left corner of a picture,
-are compressed separately.  With chroma subsampling, the outermost pixels of a block depend on the
-neighbouring blocks, too."""
+"""Maximum side in pixels of a JPEG block, the part of a picture that is compressed separately.
+
+Blocks are counted from the upper left corner of the picture.  With chroma subsampling, the
+outermost pixels of a block depend on the neighbouring blocks, too.
+"""
 
 _FORMAT_NOTE = "is a {}, which changes levels: save it as PNG."
 _PALETTE_NOTE = "has a palette, of 256 colours at most: save it as RGB."
@@ -48,8 +51,8 @@ class Picture(NamedTuple):
     """The contents of a picture file."""
 
     codes: Shaped[Codes, "h w 3"]  # red, green and blue, as encoded with gamma
-    # How the file format altered the picture, as a predicate: "is a JPEG, which changes levels: …".
-    # The note is empty if the format altered nothing.
+    # How the file format altered the picture, such as "is a JPEG, which changes levels: …", without
+    # a subject.  The note is empty if the format altered nothing.
     note: str = ""
     format_noise: int = 0  # number of levels by which the file format may have altered the codes
     # Takes the codes of a picture (h, w, 3), and returns those that are read back after it is
@@ -130,22 +133,26 @@ def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
     """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
+    return partial(_reencode_as_jpeg, qtables=quantization_tables, subsampling=subsampling)
 
-    def reencode(codes: Shaped[Codes, "h w 3"]) -> Shaped[Codes, "h w 3"]:
-        reloaded_codes = np.empty_like(codes)
-        band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
-        for start in range(0, len(codes), band_height):
-            # The neighbouring blocks are compressed, too, because they affect the outermost rows.
-            padded_start = max(0, start - JPEG_BLOCK)
-            padded_end = start + band_height + JPEG_BLOCK
-            band = Image.fromarray(codes[padded_start:padded_end])
-            jpeg_file = io.BytesIO()
-            band.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
-            rows = slice(start - padded_start, start - padded_start + band_height)
-            reloaded_codes[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
-        return reloaded_codes
 
-    return reencode
+def _reencode_as_jpeg(codes: Shaped[Codes, "h w 3"], **jpeg_options: Any) -> Shaped[Codes, "h w 3"]:
+    """Save a picture as a JPEG file in memory, and return the codes that are read back.
+
+    The picture is saved in bands of rows, with the given options of Pillow.
+    """
+    reloaded_codes = np.empty_like(codes)
+    band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
+    for start in range(0, len(codes), band_height):
+        # The neighbouring blocks are compressed, too, because they affect the outermost rows.
+        padded_start = max(0, start - JPEG_BLOCK)
+        padded_end = start + band_height + JPEG_BLOCK
+        jpeg_file = io.BytesIO()
+        Image.fromarray(codes[padded_start:padded_end]).save(jpeg_file, "JPEG", **jpeg_options)
+        padded_codes = np.asarray(Image.open(jpeg_file))
+        rows = slice(start - padded_start, start - padded_start + band_height)
+        reloaded_codes[start : start + band_height] = padded_codes[rows]
+    return reloaded_codes
 
 
 def to_columns(codes: Shaped[Codes, "h w 3"]) -> Shaped[Codes, "3 h*w"]:
