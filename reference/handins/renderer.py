@@ -298,14 +298,19 @@ class MistakeRenderer:
         codes = self.evaluate(formula_maps, pixel_index) if causes_by_pair else no_codes
         return RenderedPairs(causes_by_pair=causes_by_pair, codes=codes, pixel_index=pixel_index)
 
+    @cached_property
+    def _place_by_keyword(self) -> dict[str, int]:
+        """Maps the keyword of each mistake to its place in the table, where variants come last."""
+        return {keyword: place for place, keyword in enumerate(self.mistakes)}
+
     def join_causes(self, cause_a: Cause, cause_b: Cause) -> Cause:
-        """Join two causes into one, with the variant last.
+        """Join two causes into one, whose keywords are in the order of the table of mistakes.
 
         The result is empty if the mistakes exclude each other, or if both causes contain a variant.
         """
-        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in VARIANTS]
-        cause = (*remove_variants((*cause_a, *cause_b)), *variants)
-        return cause if len(variants) < 2 and self.get_formulas(cause) else ()
+        cause = tuple(sorted((*cause_a, *cause_b), key=self._place_by_keyword.__getitem__))
+        variant_count = len(cause) - len(remove_variants(cause))
+        return cause if variant_count < 2 and self.get_formulas(cause) else ()
 
     def add_variants(self, cause: Cause) -> Iterator[Cause]:
         """Yield copies of a cause, each with one of `variants`, unless they exclude each other."""

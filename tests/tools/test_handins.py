@@ -116,6 +116,15 @@ def test_a_mistake_that_shows_only_with_another_mistake_is_found() -> None:
     assert rate_diagnosis("two-boxes", ("wrapped", "intensity-ignored")) == "right"
 
 
+@np.errstate(all="ignore")
+def test_the_same_pair_is_not_told_twice() -> None:
+    """The search joins two causes in either order, for example if one has a variant."""
+    renderer = reference("two-boxes")._get_renderer(160, 160)
+    first, second = ("shadow-epsilon-.5", "shadow-own"), ("light-brightest",)
+    for pair in (renderer.join_causes(first, second), renderer.join_causes(second, first)):
+        assert pair == ("shadow-epsilon-.5", "light-brightest", "shadow-own")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_mistakes_are_found(name: str) -> None:
