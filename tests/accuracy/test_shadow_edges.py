@@ -28,6 +28,12 @@ CASES = {
     "segment through the ball, near its silhouette": (FLOOR, BALL, (1.5, 6, 0), EDGE_SHADED),
     "segment through the centre of the ball": (FLOOR, BALL, (0, 6, 0), COVERED),
     "segment through a plate thinner than the footprint": (FLOOR, PLATE, (0, 6, 0), EDGE_SHADED),
+    "segment through a plate that is thin along x": (
+        *(FLOOR, Box(min_pt=(1, -4, -4), max_pt=(1.1, 8, 4)), (4, 2, 0), EDGE_SHADED),
+    ),
+    "segment through a plate that is thin along z": (
+        *(FLOOR, Box(min_pt=(-4, -4, 1), max_pt=(4, 8, 1.1)), (0, 2, 4), EDGE_SHADED),
+    ),
     "light far in front of the ball": (FLOOR, BALL, (0, 1, 0), CLEAR),
     "light in the centre of the ball": (FLOOR, BALL, (0, 3, 0), COVERED),
     # A ball blocks every light inside it.  For a light near a face of a box, an edge is assumed.

@@ -16,9 +16,10 @@ from shape_probe import (
 )
 
 from reference.judges import plain
-from tracer import Box, Camera, Scene, render
+from tracer import Box, Camera, Scene, Sphere, Surfaces, render
 from tracer.arrays import Bools, Floats, dot, find, map_xyz, take
 from tracer.geometry.box import Boxes
+from tracer.geometry.camera import compute_frame
 from tracer.geometry.rounding import OUTSIDE
 from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
 from tracer.geometry.sphere import Spheres
@@ -204,6 +205,19 @@ def test_extended_faces_meet_rays_at_hits(shape_type: type[Shape], seed: int) ->
             np.testing.assert_allclose(cosine, np.sqrt(dot(normal, normal)), rtol=1e-9)
 
 
+@pytest.mark.parametrize("eye_height", [-0.5, 0, 0.5])
+@np.errstate(all="ignore")
+def test_curved_faces_are_extended_wherever_the_eye_is(eye_height: float) -> None:
+    """In the sphere, on it and outside it."""
+    camera = Camera(view_point=(0, 0, 1 + eye_height))
+    sphere = Spheres.from_surfaces(compute_frame(camera, 1, 1), Surfaces.from_objects([Sphere()]))
+    object_index, x, y = np.array([0]), np.array([0.25]), np.array([-0.125])
+    t, _ = sphere.intersect(object_index, y, x, None)
+    ray = x[None], y[None], np.full((1, 1), sphere.frame.depth)
+    inverse_t = sphere.compute_inverse_t(CURVED_FACE, object_index, ray)
+    np.testing.assert_allclose(inverse_t[0] * t, 1, atol=1e-12)
+
+
 @EACH_SHAPE
 @EACH_SEED
 @np.errstate(all="ignore")
@@ -220,6 +234,7 @@ def test_planes_of_faces_are_met_at_the_bounding_box(shape_type: type[Shape], se
         from_eye = map_xyz(lambda x, f=face: f.t * x[f.item_index], hits.to_hit)
         coordinate = shape.frame.point_to_scene(from_eye)[axis]
         np.testing.assert_allclose(coordinate, position, atol=10 * hits.tolerance)
+        np.testing.assert_array_equal(np.sign(face.footprint_radius), np.sign(face.t))
         found[face.face_code, face.item_index] = True
     is_planar = hits.face_code != CURVED_FACE
     assert found[hits.face_code[is_planar], is_planar].all()

@@ -61,6 +61,12 @@ def test_codes_of_values_outside_the_range():
     assert encode_values(dark + bright).tolist() == [0] * 5 + [255] * 4
 
 
+@pytest.mark.parametrize("nan_count", [1, 3])
+def test_a_single_nan_is_refused(nan_count):
+    with pytest.raises(ValueError, match="must not contain NaN"):
+        encode_values((0.5,) * (3 - nan_count) + (np.nan,) * nan_count)
+
+
 def test_codes_do_not_depend_on_the_layout_of_the_array():
     image = np.random.default_rng(1).uniform(size=(7, 9, 3))
     expected = to_codes(image)

@@ -171,20 +171,23 @@ def build_plate(distance: float, height: float) -> Scene:
     return close_up(Box(min_pt=(-0.3, -height / 2, 0), max_pt=(edge, height / 2, 0)))
 
 
+@pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize(("distance", "verdict"), [(0.0027, "agrees"), (0.0033, "undecided")])
-def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
+def test_tolerance_of_the_distance_to_an_edge(side, distance, verdict):
     """The edge crosses few pixels, which may be excluded."""
-    result = compare_to(build_plate(distance, 0.38), render(build_plate(-0.01, 0.38)))
+    other_image = render(build_plate(side * -0.01, 0.38))
+    result = compare_to(build_plate(side * distance, 0.38), other_image)
     assert result.verdict == verdict
     assert (result.differs_at_edge if verdict == "agrees" else result.is_disputed)[:, 17].sum() == 6
 
 
+@pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize(("distance", "verdict"), [(1e-8, "agrees"), (1e-4, "DIFFERS")])
-def test_the_tracer_may_err_if_an_edge_is_at_a_centre(monkeypatch, distance, verdict):
+def test_the_tracer_may_err_if_an_edge_is_at_a_centre(monkeypatch, side, distance, verdict):
     """The edge crosses 4 % of the pixels: too many to be excluded without exact arithmetic."""
-    scene = build_plate(distance, 2)
+    scene = build_plate(side * distance, 2)
     image = render(scene)
-    replace_tracer(monkeypatch, render(build_plate(-0.01, 2)))
+    replace_tracer(monkeypatch, render(build_plate(side * -0.01, 2)))
     assert compare_to(scene, image).verdict == verdict
 
 

@@ -30,6 +30,7 @@ from reference.figures import get_largest_difference, measure_differences, write
 from reference.handins.diagnosis import Reference
 from reference.handins.formula_functions import Array
 from reference.handins.renderer import MistakeRenderer
+from reference.handins.results import Result, format_csv
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
@@ -313,6 +314,13 @@ def test_harmful_names_and_sizes(tmp_path: Path, compare: Compare) -> None:
     assert students == ["'=cmd|", "\\udcff", "\\x1b[2j", "huge"]
     assert any("has 13000x13000 pixels; at most 9 million can be compared" in x for x in lines)
     assert "one-sphere-\\udcff.png" in page.read_text()
+
+
+@pytest.mark.parametrize("first_character", ["=", "+", "-", "@"])
+def test_no_cell_of_a_table_is_run_by_a_spreadsheet(first_character: str) -> None:
+    student = f"{first_character}SUM(A1)"
+    table = format_csv([Result(student=student, scene="", picture=None, right=None)])
+    assert [row["student"] for row in csv.DictReader(table.splitlines())] == [f"'{student}"]
 
 
 @pytest.mark.parametrize(

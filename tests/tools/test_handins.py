@@ -316,6 +316,14 @@ def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
     assert [one.scene for one in match_hand_ins(pictures[:1], pictures[0], tmp_path)] == ["room"]
 
 
+@pytest.mark.parametrize("names", [("eve lin", "lin"), ("lin", "eve lin"), ("eve", "eve lin")])
+def test_the_longest_name_of_the_class_list_counts(tmp_path: Path, names: tuple[str, ...]) -> None:
+    scene = tmp_path / "room.xml"
+    picture = tmp_path / "class" / "03_eve_lin" / "room.png"
+    (matched,) = match_hand_ins([picture], tmp_path / "class", scene, names)
+    assert matched.student == "eve lin"
+
+
 def test_few_renderers_are_cached() -> None:
     """A class of screenshots of many sizes does not fill the memory."""
     own = Reference(replace(scene("two-boxes"), width=40, height=40))
