@@ -66,8 +66,15 @@ _DIFFERENCE_LEGEND = (
 )
 
 
+class Comparison(NamedTuple):
+    """The comparison of the two pictures of a scene."""
+
+    result: CheckResult
+    comment: str  # the first comment of the scene file, which describes the scene
+
+
 def render_report(
-    described_results: Sequence[tuple[CheckResult, str]],
+    comparisons: Sequence[Comparison],
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
@@ -75,14 +82,12 @@ def render_report(
 
     Parameters
     ----------
-    described_results
-        The comparisons, each with a description of its scene.
     charts
         Charts to show at the end: their titles, and the contents of their SVG files.
     failures
         Messages about scenes that could not be compared.
     """
-    results = [result for result, _ in described_results]
+    results = [comparison.result for comparison in comparisons]
     scene_count = len(results)
     agreeing_count = sum(result.verdict == AGREES for result in results)
     all_agree = 0 < agreeing_count == scene_count and not failures
@@ -97,7 +102,7 @@ def render_report(
         table_name="All scenes",
         column_titles=_TITLES,
         rows=[_format_overview_row(index, result) for index, result in enumerate(results)],
-        pairs=[_prepare_scene_pair(result, comment) for result, comment in described_results],
+        pairs=[_prepare_scene_pair(*comparison) for comparison in comparisons],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
@@ -116,7 +121,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
 
 
 def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
-    """Prepare one comparison, with a description of its scene, for the HTML page."""
+    """Prepare a comparison for the HTML page."""
     is_excluded, metrics = result.is_excluded, result.metrics
     is_good = result.verdict == AGREES
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
@@ -171,12 +176,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
+        0, 1 or 3, as the docstring of this module says.
 
     Raises
     ------
     Failure
-        If Mitsuba cannot run, or the page cannot be written.
+        If Mitsuba cannot run (exit status 2), or the page cannot be written.
     SystemExit
         If the arguments are wrong.
     """
@@ -187,13 +192,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     page_path = Path(output, _PAGE_NAME if is_folder(output) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     set_up_mitsuba(arguments.variant, exit_status=MISUSED)
-    described_results, failures = _compare_scenes(paths, arguments.variant)
+    comparisons, failures = _compare_scenes(paths, arguments.variant)
     # Charts appear only on a page that shows none but the project's own scenes.
     shows_charts = {*paths} <= {*list_scene_files()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if shows_charts]
-    write_page(page_path, render_report(described_results, charts, failures))
+    write_page(page_path, render_report(comparisons, charts, failures))
     print_line(sys.stdout, make_printable(str(page_path)))
-    return FAILED if failures else choose_exit_status(result for result, _ in described_results)
+    return FAILED if failures else choose_exit_status(each.result for each in comparisons)
 
 
 def _make_command_parser() -> CommandParser:
@@ -207,20 +212,16 @@ def _make_command_parser() -> CommandParser:
     return command_parser
 
 
-class _Outcomes(NamedTuple):
-    """The results of comparing several scenes."""
+def _compare_scenes(
+    paths: Sequence[Path], variant: str | None
+) -> tuple[list[Comparison], list[str]]:
+    """Compare the pictures of scene files; return the comparisons and the messages of failures.
 
-    described_results: list[tuple[CheckResult, str]]  # each with the comment of the scene file
-    failures: list[str]  # messages about the scenes that could not be compared
-
-
-def _compare_scenes(paths: Sequence[Path], variant: str | None) -> _Outcomes:
-    """Compare the pictures of scene files, and print a message for each that cannot be compared.
-
-    `variant` is the name of Mitsuba's variant; None stands for the fastest.
+    The messages are also printed.  `variant` is the name of Mitsuba's variant; None stands for the
+    fastest.
     """
     names_are_unique = len({path.stem for path in paths}) == len(paths)
-    described_results = []
+    comparisons = []
     failures = []
     for path in track(paths, len(paths), "scenes"):
         name = make_printable(path.stem if names_are_unique else str(path))
@@ -228,15 +229,15 @@ def _compare_scenes(paths: Sequence[Path], variant: str | None) -> _Outcomes:
         if isinstance(outcome, Failure):
             failures.append(str(outcome))
         else:
-            described_results.append(outcome)
-    return _Outcomes(described_results=described_results, failures=failures)
+            comparisons.append(outcome)
+    return comparisons, failures
 
 
-def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Compare the pictures of a scene file, and read the comment at the beginning of the file.
+def _compare_scene(path: Path, name: str, variant: str | None) -> Comparison:
+    """Compare the pictures of a scene file.
 
     `name` is the scene's name on the page.  Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):
-        return result, _read_comment(path)
+        return Comparison(result=result, comment=_read_comment(path))

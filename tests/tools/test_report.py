@@ -24,7 +24,7 @@ from reference.figures import (
     get_largest_difference,
     measure_differences,
 )
-from reference.report import main, render_report
+from reference.report import Comparison, main, render_report
 
 WIDTH, HEIGHT = 8, 6
 
@@ -63,11 +63,12 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 
 def test_the_page_contains_everything_that_it_shows():
-    results = [
-        (make_result("<b>&"), "Shows <one> & more."),
-        (replace(make_result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
+    same = replace(make_result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_))
+    comparisons = [
+        Comparison(make_result("<b>&"), comment="Shows <one> & more."),
+        Comparison(same, comment=""),
     ]
-    text = render_report(results, [("Chart", CHART)])
+    text = render_report(comparisons, [("Chart", CHART)])
     for expected in (
         "12.3 ms",
         "4.50 s",

@@ -225,11 +225,9 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
 
 
 def _validate_radiance(image: ArrayLike) -> Shaped[Floats, "height width 3"]:
-    """Check that an image is linear radiance, and convert it to a contiguous float64 array.
+    """Convert an image to a contiguous float64 array, which may be `image` itself.
 
-    The result is `image` itself if that is already such an array.  Raise TypeError if the image has
-    type uint8, is complex, or is a masked array.  Raise ValueError if its shape is not (height,
-    width, 3), or it contains a NaN.
+    Raise TypeError or ValueError if it is not linear radiance, as `to_codes` says.
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:

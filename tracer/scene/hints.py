@@ -244,7 +244,7 @@ _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in
 
 
 def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
-    """Yield an explanation for each word of why it is not a valid number.
+    """Explain why each of these words is not a valid number.
 
     Equal words are explained once.  Of several words with commas, only the first is explained.
     """
@@ -259,7 +259,8 @@ def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
 def explain_invalid_number(word: str) -> str:
     """Explain why a word is not a valid number, and suggest a fix.
 
-    A number so small that it would become 0 in float64 is not valid.
+    The word must not be a valid number.  So if it is written like one, it is so small that it would
+    become 0 in float64.
     """
     for character in word:
         if not character.isascii():

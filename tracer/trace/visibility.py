@@ -28,9 +28,9 @@ from tracer.trace.packet_size import assign_depth_layers
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene
 
-# Width of the vertical strips, in pixels, into which the picture is divided for scattered samples.
-# A run ends at the border of a strip, and where the depth changes by more than about the width of a
-# few strips.  So its hits are close together, and a small sphere contains them in shadow tests.
+# Runs of scattered samples also end at the borders of vertical strips of this width, in pixels, and
+# where the depth changes by about as much.  So their hits are close together, and a small sphere
+# contains them in shadow tests.
 _RUN_WIDTH = 4.0
 
 # Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
@@ -64,10 +64,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 
 
 class _Intersections(NamedTuple):
-    """Intersections of rays with objects of one shape, for n pairs of a sample and an object.
-
-    The pairs are arranged in spans: consecutive samples in one row, paired with the same object.
-    """
+    """Intersections of rays with objects of one shape, for n pairs arranged in spans."""
 
     shape: Shape
     sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
@@ -76,18 +73,14 @@ class _Intersections(NamedTuple):
     sample_index: Shaped[Ints, "n"]
     ray_x: Shaped[Floats, "n"]
     t: Shaped[Floats, "n"]
-    hit_data: Shaped[NDArray[Any], "n"]  # face code, or what else `Shape.intersect` returned
+    hit_data: Shaped[NDArray[Any], "n"]  # what `Shape.intersect` returned: for boxes, face codes
 
     @property
     def pair_object(self) -> Shaped[Ints, "n"]:
-        """Object index of each pair of a sample and an object."""
         return repeat_runs(self.object_index, self.sample_count)
 
     def select(self, is_selected: Shaped[Bools, "n"]) -> _Intersections:
-        """Keep the selected pairs of a sample and an object, in the same order.
-
-        If all pairs are selected, the result is this instance itself.
-        """
+        """Keep the selected pairs, in the same order; return this instance if they are all."""
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
             return self
@@ -125,11 +118,9 @@ class _Intersections(NamedTuple):
     def find_run_starts(
         self, samples: Samples, frame: CameraFrame, hit_depth: Shaped[Floats, "n"]
     ) -> Shaped[Ints, "runs"]:
-        """Find the index of the first hit of each run.
+        """Find the index of the first hit of each run.  All rays must hit.
 
-        A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  All rays must hit.  `hit_depth` is the distance of each hit ahead of the eye.  It
-        is needed only for scattered samples, whose runs are divided further (see `_RUN_WIDTH`).
+        `hit_depth` is the distance of each hit ahead of the eye, in scene units.
         """
         if self.sample_count is None:
             is_start = self._mark_scattered_starts(samples, frame, hit_depth)
@@ -199,10 +190,9 @@ def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Shaped[Fl
 def _select_visible(
     scene: PreparedScene, groups: list[_Intersections], nearest_t: Shaped[Floats, "samples"]
 ) -> list[_Intersections]:
-    """Select the nearest intersection at each sample whose ray meets a surface.
+    """Select the intersections at `nearest_t` (see `_find_nearest_t`), at most one for each sample.
 
-    `nearest_t` is the result of `_find_nearest_t`.  If several objects are at the same distance,
-    only the first one in the scene file is selected.
+    If several objects are at the same distance, the first one in the scene file is selected.
     """
     nearest = [group.select(group.t == nearest_t.take(group.sample_index)) for group in groups]
     hit_count = np.count_nonzero(nearest_t < _MAX_T)
@@ -223,7 +213,7 @@ def _select_visible(
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
     """Turn intersections into hits, with their positions, runs and tangent planes.
 
-    Each group contains the intersections with objects of one shape.  All rays must hit.
+    All rays of the groups must hit.
     """
     from_eye = np.empty((3, sum(group.t.size for group in groups)))
     shape_hits = list[ShapeHits]()
