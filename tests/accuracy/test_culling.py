@@ -34,7 +34,6 @@ from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
 from tracer.trace.radiance import compute_radiance
 from tracer.trace.samples import ObjectSpans, Scattered
-from tracer.trace.visibility import find_nearest_and_hidden_hits
 from tracer.world import cell_lists, prepared_scene
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
@@ -207,18 +206,6 @@ def place_nine_lights(scene: Scene) -> Scene:
     """Replace the lights of a scene by nine lights of two colours in a row."""
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
     return replace(scene, lights=lights)
-
-
-@np.errstate(all="ignore")  # as where pictures are rendered
-def test_hidden_hits_are_behind_the_nearest_ones():
-    scene = PreparedScene(load_scene(HARD_SCENES / "surfaces-that-cross-within-pixels.xml"))
-    rows, columns = slice(0, scene.frame.height), slice(0, scene.frame.width)
-    samples = PIXEL_CENTERS.place_in_pixels(rows, columns)
-    nearest, hidden = find_nearest_and_hidden_hits(scene, samples)
-    nearest_distance = np.full(samples.size, np.inf)
-    nearest_distance[nearest.sample_index] = nearest.distance
-    assert hidden.sample_index.size
-    assert (hidden.distance > nearest_distance[hidden.sample_index]).all()
 
 
 def test_lights_are_prepared_in_batches(monkeypatch):

@@ -1,13 +1,14 @@
-"""Shadow edges: when does the shadow of an object cover the footprint of a hit, or end in it?"""
+"""Hits that are hidden, and shadows: do they cover the footprint of a hit, or end in it?"""
 
 import numpy as np
 import pytest
 from probe import scene_of
+from scene_files import HARD_SCENES
 
-from tracer import Box, Camera, Sphere
+from tracer import Box, Camera, Sphere, load_scene
 from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.trace.occlusion import find_shadow_edges
-from tracer.trace.visibility import find_nearest_hits
+from tracer.trace.visibility import find_nearest_and_hidden_hits, find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
 FLOOR = Box(min_pt=(-20, -1, -20), max_pt=(20, 0, 20))
@@ -74,3 +75,15 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, radius)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()
+
+
+@np.errstate(all="ignore")  # as where pictures are rendered
+def test_hidden_hits_are_behind_the_nearest_ones():
+    scene = PreparedScene(load_scene(HARD_SCENES / "surfaces-that-cross-within-pixels.xml"))
+    rows, columns = slice(0, scene.frame.height), slice(0, scene.frame.width)
+    samples = PIXEL_CENTERS.place_in_pixels(rows, columns)
+    nearest, hidden = find_nearest_and_hidden_hits(scene, samples)
+    nearest_distance = np.full(samples.size, np.inf)
+    nearest_distance[nearest.sample_index] = nearest.distance
+    assert hidden.sample_index.size
+    assert (hidden.distance > nearest_distance[hidden.sample_index]).all()
