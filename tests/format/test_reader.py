@@ -158,3 +158,9 @@ def test_the_reader_leaves_no_reference_cycles():
         assert gc.collect() == 0
     finally:
         gc.enable()
+
+
+def test_white_space_longer_than_a_chunk_separates_numbers():
+    position = f"<position>1{' ' * (1 << 16)}2 3</position>"
+    scene = f"<scene><camera/><image>4 3</image><light>{position}</light></scene>"
+    assert load_scene(io.BytesIO(scene.encode())).lights[0].position == (1, 2, 3)
