@@ -160,7 +160,9 @@ def test_the_reader_leaves_no_reference_cycles():
         gc.enable()
 
 
-def test_white_space_longer_than_a_chunk_separates_numbers():
-    position = f"<position>1{' ' * (1 << 16)}2 3</position>"
-    scene = f"<scene><camera/><image>4 3</image><light>{position}</light></scene>"
+def test_a_chunk_of_white_space_separates_numbers():
+    """The file is parsed in chunks: the first number ends one, and the second begins another."""
+    chunk_bytes = 1 << 14
+    start = "<scene><camera/><image>4 3</image><light><position>".ljust(chunk_bytes - 1)
+    scene = f"{start}1{' ' * chunk_bytes}2 3</position></light></scene>"
     assert load_scene(io.BytesIO(scene.encode())).lights[0].position == (1, 2, 3)
