@@ -177,7 +177,7 @@ def _list_pictures(options: Options, command_parser: CommandParser) -> list[Path
     """List the pictures to compare: the given one, or all in the given folder.
 
     If there is none, or if several pictures have a single output file, print a message and exit
-    with status 2.  Raise Failure if a file of the command line does not exist.
+    with status 2.  Raise Failure if a file named on the command line does not exist.
     """
     for path in (options.hand_in, options.reference):
         if not path.exists():
@@ -286,8 +286,8 @@ def _compare_with_progress_bar(options: Options, hand_in: HandIn) -> Compared:
 def _write_pages(options: Options, results: Sequence[Result], pairs: dict[str, Pair]) -> None:
     """Write the pages that --html requests; without this option, do nothing.
 
-    They are the page of all pictures and, if the option names a folder, `students/NAME.html` for
-    each student.  `pairs` has the pictures to show, by the path of the submitted picture.
+    One page shows all pictures.  If the option names a folder, `students/NAME.html` there shows
+    those of one student.  `pairs` maps the path of a submitted picture to the pictures to show.
     """
     page_path = options.page_path
     if not (options.html and page_path):

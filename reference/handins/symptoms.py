@@ -319,7 +319,11 @@ def find_unrendered_part(
 def _describe_black_lines(
     is_black: Shaped[Bools, "lines n"], is_wrong: Shaped[Bools, "lines n"], noun: str
 ) -> str:
-    """Describe the black lines that contain all wrong pixels; "" if other lines do, too."""
+    """Describe the lines (rows or columns) that are black, if all wrong pixels lie in them.
+
+    Return "" if a wrong pixel lies in a line that is not black, unless all pixels from the first
+    wrong one on are black.
+    """
     wrong_lines = np.flatnonzero(np.logical_or.reduce(is_wrong, axis=1))
     black_lines = {*np.flatnonzero(np.logical_and.reduce(is_black, axis=1)).tolist()}
     first, last = int(wrong_lines[0]), int(wrong_lines[-1])

@@ -71,7 +71,7 @@ def run_chart_command(
     measure
         Yields the rows of the table.  Its argument is True to measure fewer points.
     draw
-        Draws the chart from the rows of the CSV file, and returns it as a Figure of Matplotlib.
+        Draws the chart from the rows of the CSV file, and returns it as a Matplotlib figure.
     title, note
         Text above the chart: one line, and smaller lines below it.
     """
@@ -92,7 +92,7 @@ def run_chart_command(
 
 
 def _write_texts(figure: Any, title: str, note: str, footer: str) -> None:
-    """Write a title and a note at the top of a Figure of Matplotlib, and a footer at the bottom."""
+    """Write a title and a note at the top of a Matplotlib figure, and a footer at the bottom."""
     # Positions are fractions of the size of the figure, from its lower left corner.
     width, height = figure.get_size_inches()
     x = _TEXT_TO_LEFT_EDGE / width

@@ -205,9 +205,9 @@ class CellSurfaces(NamedTuple):
                 )
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """Yield the edges between faces of one object that may be visible in a cell.
+        """Yield edges that may cross cells, between the face hit at the center and another one.
 
-        One of the two faces is hit by the ray through the center of the cell.
+        Both faces belong to one object.
         """
         for group in self.hits.groups:
             faces = group.shape.find_near_faces(

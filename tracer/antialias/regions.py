@@ -311,7 +311,7 @@ class _RegionWeights(NamedTuple):
     def evaluate(
         self, position: Shaped[Points2D, "n"], region_index: Shaped[Ints, "n"]
     ) -> Shaped[Floats, "n"]:
-        """Compute the weight of each point, which lies in the given region."""
+        """Compute the weight of each point as a sample of the region with the given index."""
         x = position.real - self.mean_x[region_index]
         y = position.imag - self.mean_y[region_index]
         weight = self.weight_at_mean[region_index]

@@ -276,7 +276,10 @@ def _write_picture(
     tiles: Iterable[EncodedTile],
     start_time: float,  # when the job began, by `perf_counter`
 ) -> Report:
-    """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
+    """Write a picture from its tiles, which may be rendered meanwhile.
+
+    Raise Failure if a tile cannot be rendered, or the picture cannot be written.
+    """
     file_format = FORMATS[settings.file_format]
     with (
         # What users can get wrong was checked before, so a ValueError is a bug.

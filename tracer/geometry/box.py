@@ -179,8 +179,8 @@ class Boxes(Shape):
     ) -> Shaped[Floats, "... n"]:
         """Compute the largest of the signed distances of each point from the planes of six faces.
 
-        A signed distance is negative on the inner side of the face.  So the result is the depth of
-        a point in the box, as a negative number, or at most its distance from the box.
+        A signed distance is negative on the inner side of the face.  Inside the box, the result is
+        minus the depth of the point.  Outside, it is positive, and at most the distance to the box.
         """
         low, high = self.get_corners(object_index)
         plane_distances = *map_xyz(np.subtract, low, point), *map_xyz(np.subtract, point, high)

@@ -106,7 +106,12 @@ class Camera(Validated):
 
     @classmethod
     def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterator[FieldError]:
-        """Find windows whose normal is parallel to `view_up`, or perpendicular to `view_dir`."""
+        """Yield an error for each camera with impossible axes.
+
+        The normal of its window is parallel to `view_up`, or perpendicular to `view_dir`.
+        `get_rows` returns the values of a field, one row a camera; a `proj_normal` that is not
+        given is a row of NaN.
+        """
         arrays = map(get_rows, ("view_up", "view_dir", "proj_normal"))
         for index, (view_up, view_dir, normal) in enumerate(zip(*arrays, strict=True)):
             normal_name = "proj_normal"

@@ -107,7 +107,7 @@ class Validated:
     if not TYPE_CHECKING:
 
         def __new__(cls, *args: object, **_values: object) -> Any:
-            """Create an instance; raise TypeError, with all keywords, for values by position."""
+            """Create an instance, or raise a TypeError that lists the keywords to use."""
             if args:
                 names = [field.name for field in fields(cls) if "validator" in field.metadata]
                 keywords = ", ".join(f"{name}=..." for name in names)

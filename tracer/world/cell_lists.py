@@ -80,11 +80,11 @@ class CellLists(NamedTuple):
     def find_pairs(
         self, rectangles: Shaped[Floats, "4 n"], patch_index: Shaped[Ints, "n"]
     ) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[NDArray[np.uint32], "k"]]]:
-        """Find the stored rectangles that overlap a cell with each rectangle of a query.
+        """Find the stored rectangles that have a cell in common with each rectangle of a query.
 
         Yields batches of two arrays: indices of the query's rectangles, and of stored rectangles.
-        No pair occurs twice.  A rectangle has the rows minimum and maximum of u, then of v, from 0
-        to 1 across its patch.
+        No pair occurs twice.  The rows of `rectangles` are the minimum and the maximum of u, and
+        those of v, from 0 to 1 across the patch.
         """
         for overlap in _find_overlaps(rectangles, patch_index, self.cells_per_side):
             first_list = 4 * overlap.cell_index + _LISTS_START.take(overlap.flags)
