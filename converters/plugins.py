@@ -88,7 +88,7 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
     def sample_direction(self, hit, sample, active=True):
-        """Return how a hit sees the light, as a `DirectionSample3f`, and the light's intensity.
+        """Return the direction and the distance to the light from a hit, and the light's intensity.
 
         In the first result, `d` is the unit vector from the hit to the light, and `dist` is the
         distance.  If the hit is at the light, both are 0.  The second result, a colour, is 0 where

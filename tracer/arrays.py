@@ -48,10 +48,10 @@ def map_xyz(
 
 
 def dot(a: Shaped[Triple, "..."], b: Shaped[Triple, "..."] | Vector) -> Shaped[Floats, "..."]:
-    """Compute the dot product of each vector in `a` and the vector in `b`, or the only vector `b`.
+    """Compute the dot products of the vectors in `a` with those in `b`, or with one vector `b`.
 
-    If the arrays differ in shape, the product of the x components must have the shape of the
-    result.
+    Arrays of different shapes are broadcast.  The x components must already have, together, the
+    shape of the result.
     """
     products: Floats = a[0] * b[0]
     # Adding in place allocates fewer arrays.

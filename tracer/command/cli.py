@@ -263,7 +263,7 @@ def _explain_pixels(parser: CommandParser, arguments: _Arguments, pixel: tuple[i
     """Print how the colour of a pixel is computed in each scene, and return the exit status.
 
     `pixel` is the column and the row of the pixel.  If a scene cannot be read or has no such pixel,
-    print an error, continue with the next scene, and return 1 in the end.  Call `parser.error` if
+    print an error, continue with the next scene, and finally return 1.  Call `parser.error` if
     the arguments contain an option for pictures.
     """
     picture_options = arguments.output, arguments.format, arguments.crop, arguments.watch

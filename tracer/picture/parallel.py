@@ -12,8 +12,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsIndex
 
 from tracer.children import end_children
@@ -137,23 +137,17 @@ class WorkerPool:
         RuntimeError
             If workers have been started `_MAX_STARTS` times, and have died or could not be started.
         """
-        if self._executor is None:
-            if self._start_count == _MAX_STARTS:
-                raise RuntimeError("workers cannot be started, or have died several times")
-            self._start_count += 1
-            self._executor = self._create_executor()
-        # Workers inherit the blocked SIGINT.  If Ctrl-C interrupted a worker before it ignores
-        # SIGINT, the worker would print a traceback.
-        if sys.platform != "win32":
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return self._executor.submit(function, *args)
-        except Exception:  # a worker has died, or could not be started
-            self.close()
-            return self.submit(function, *args)
-        finally:
-            if sys.platform != "win32":
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        while True:
+            if self._executor is None:
+                if self._start_count == _MAX_STARTS:
+                    raise RuntimeError("workers cannot be started, or have died several times")
+                self._start_count += 1
+                self._executor = self._create_executor()
+            # Workers inherit the blocked SIGINT.  If Ctrl-C interrupted a worker before it ignores
+            # SIGINT, the worker would print a traceback.
+            with suppress(Exception), _block_interrupts():
+                return self._executor.submit(function, *args)
+            self.close()  # a worker has died, or could not be started
 
     def _create_executor(self) -> ProcessPoolExecutor:
         """Create an executor that forks its workers if that is safe, and spawns them otherwise.
@@ -189,6 +183,19 @@ class WorkerPool:
         with suppress(RuntimeError):  # the system cannot start another thread
             shutdown_thread.start()
             shutdown_thread.join(_MAX_END_SECONDS)
+
+
+@contextmanager
+def _block_interrupts() -> Iterator[None]:
+    """Delay SIGINT until the end of a block of code; on Windows, do nothing."""
+    if sys.platform == "win32":
+        yield
+        return
+    old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
 
 
 def _silence_pools() -> None:
