@@ -380,7 +380,7 @@ def _find_differences_at_edges(
 ) -> Shaped[Bools, "height width"]:
     """Find the differing pixels that a nearby edge can explain (see `find_pixels_near_edges`).
 
-    If there are more than rounding errors can cause, no pixel is marked.
+    If more than `MAX_EDGE_SHARE` of all pixels were marked, none is: rounding causes fewer.
     """
     differs_at_edge = is_different.copy()
     if is_different.any():

@@ -24,6 +24,7 @@ import platform
 from collections.abc import Iterable
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import starmap
 from pathlib import Path
 from typing import Annotated as Shaped
 
@@ -118,7 +119,7 @@ def _store_image(path: Path, image: Image.Image) -> None:
     image.save(path, optimize=True)
 
 
-def _is_stored(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
+def _matches_stored_picture(name: str, image: Shaped[Floats, "height width 3"]) -> bool:
     """Test whether Mitsuba's stored picture of a scene differs from `image` only by rounding.
 
     The result is False if no picture is stored.  A few pixels may differ more, because rounding may
@@ -153,7 +154,7 @@ def _store_mitsuba_pictures() -> None:
     manifest_path = MITSUBA_FOLDER / "manifest.json"
     stored_text = manifest_path.read_text("utf-8") if manifest_path.exists() else "{}"
     are_same_scenes = json.loads(stored_text).get("scenes") == manifest["scenes"]
-    if are_same_scenes and all(_is_stored(name, image) for name, image in images.items()):
+    if are_same_scenes and all(starmap(_matches_stored_picture, images.items())):
         return
     for name, image in images.items():
         rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP

@@ -70,9 +70,11 @@ def measure_scene(name: str, size: tuple[int, int]) -> str:
 
 
 def measure_commands(python: str, inputs: dict[str, list[str]]) -> Iterator[str]:
-    """Time the command on a Python with one worker and with all, and yield rows of the table.
+    """Time the tracer's command, and yield rows of the table.
 
-    `inputs` maps the name of each row of the table to the scene files that the command renders.
+    `python` is the path of the Python that runs the command, once with one worker and once with one
+    for each processor.  `inputs` maps the name of each row of the table to the scene files that the
+    command renders.
     """
     name = subprocess.check_output([python, "-c", _PRINT_VERSION], text=True)
     for input_name, paths in inputs.items():

@@ -38,7 +38,8 @@ def get_part_prefix() -> str:
 def set_part_prefix(prefix: str) -> None:
     """Set the prefix of the names of part files to that of the main process.
 
-    Every worker must call this, because a worker that is not a fork has chosen another prefix.
+    Every worker must call this: one that was spawned imports this module again, and so has chosen
+    another prefix.
     """
     global _part_prefix
     _part_prefix = prefix
@@ -52,8 +53,8 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     permissions of the old file.  After an error in the block, the new file is deleted, and the file
     at `path` is unchanged.  If `path` is a symbolic link, the target of the link is replaced.
 
-    The attribute `name` of the file is its temporary path or, if it has no name yet, its
-    descriptor.
+    The attribute `name` of the file is its temporary path, or its descriptor if the file has no
+    name yet.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ def match_hand_ins(
     list of HandIn
         One hand-in for each of `files`.  If both paths are folders, hand-ins without a picture
         follow: first for scenes that other students have handed in, then for scenes that nobody has
-        handed in.  An empty subfolder, and a name of the class list, count as a student.
+        handed in.  Each empty subfolder and each name on the class list also counts as a student.
     """
     path_by_scene = list_references(reference_path)
     hand_ins = [_match_hand_in(path, class_path, reference_path, path_by_scene) for path in files]

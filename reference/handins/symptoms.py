@@ -385,7 +385,8 @@ def has_palette(
 ) -> bool:
     """Test whether a picture is the reference picture, reduced to few colours.
 
-    Shading in steps, which also has few colours, is darker everywhere.
+    A picture shaded in steps has few colours, too, but it is darker than the reference picture.  So
+    a picture whose mean is shifted has no palette.
     """
     color_counts = [
         len(np.unique(codes.reshape(-1, 3), axis=0)) for codes in (submitted_codes, reference_codes)

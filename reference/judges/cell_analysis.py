@@ -404,9 +404,9 @@ class CellAnalysis:
     def _make_sphere_shadow_conditions(self) -> Iterator[Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a sphere.
 
-        There is a claim for each triple (see `cells`).  First, the ray must meet the face inside
-        the cone from the light around the sphere.  Second, it must meet the face behind the plane
-        in which the cone touches the sphere.
+        Each triple (see `cells`) claims that its sphere shades its face.  First, the ray must meet
+        the face inside the cone from the light around the sphere.  Second, it must meet the face
+        behind the plane in which the cone touches the sphere.
         """
         scene, triples = self.scene, self.cells.shadow_triples
         triple_index = np.flatnonzero(triples[2] < scene.sphere_count)
@@ -487,9 +487,9 @@ class CellAnalysis:
     ) -> Iterator[Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a box.
 
-        There is a claim for each triple (see `cells`).  The ray must meet the face inside each
-        half-space of the shadow volume.  `casts_no_shadow` marks triples that need no more
-        conditions, because there is certainly no shadow.  The caller may update it between
+        Each triple (see `cells`) claims that its box shades its face.  The ray must meet the face
+        inside each half-space of the shadow volume.  `casts_no_shadow` marks triples that need no
+        more conditions, because there is certainly no shadow.  The caller may update it between
         conditions.
         """
         pair_index, light_index, occluder_index = self.cells.shadow_triples

@@ -248,7 +248,7 @@ class CellSurfaces(NamedTuple):
         light_position: Shaped[Floats, "lights 3"],
         edge_candidates: Shaped[Ints, "3 n"],
     ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows that may cross cells.
+        """Yield the shadow edges that may cross cells.
 
         `light_position` is in scene axes.  The rows of `edge_candidates` are indices of lights, of
         hits, and of objects that may block the light near the hit.

@@ -222,7 +222,8 @@ _SUPERFLUOUS |= {"samples", "background", "ambient", "integrator"}
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    The suggested tag is one of `allowed_tags`, "surface" or "shader".
+    The suggested tag is in `allowed_tags`, or it is "surface" or "shader" even if these are not.
+    It is None if the tag should be removed.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if replacement.type_name:

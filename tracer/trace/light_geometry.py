@@ -42,7 +42,7 @@ class LightGeometry(NamedTuple):
     def compute_highlight_strength(
         self, light_index: int, hit_index: Shaped[Ints, "k"]
     ) -> Shaped[Floats, "k"]:
-        """Compute the strength of the highlight that one light causes at selected hits; 0 to 1.
+        """Compute the strength, from 0 to 1, of the highlight of one light at selected hits.
 
         The strength is (n.h)^p, where n is the unit normal, h the unit half vector between the
         directions to the light and to the eye, and p the exponent of the surface.  The surface must
