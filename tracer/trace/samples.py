@@ -184,7 +184,7 @@ class Rows(Samples):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scattered(Samples):
-    """Samples at arbitrary positions, sorted by pixel row and then by x.
+    """Samples at arbitrary positions, sorted by pixel row and then by x, up to `sort_key`.
 
     Each sample is a row of its own, with its own y.  The number of samples in a pixel is not known,
     and assumed to be 1.
@@ -194,8 +194,8 @@ class Scattered(Samples):
     x: Shaped[Floats, "rows"]
     # Index of the first sample in each pixel row.  Pixel rows without samples are omitted.
     pixel_row_start: Shaped[Ints, "pixel_rows"]
-    # The pixel row (numbered from 1) and the x of each sample, encoded by `_encode_position`.  The
-    # keys ascend.
+    # The pixel row and the x of each sample as one number (see `_encode_position`), in ascending
+    # order.
     sort_key: Shaped[Floats, "rows"]
 
     @classmethod
@@ -206,15 +206,14 @@ class Scattered(Samples):
 
         Sample i is at the position (x[order[i]], y[order[i]]).
         """
-        order = np.lexsort((x, np.floor(y)))
-        sorted_x = x[order]
-        sorted_y = y[order]
-        is_start = mark_run_starts(np.floor(sorted_y))
+        pixel_row = np.floor(y)
+        key = _encode_position(pixel_row, x)
+        order = key.argsort(kind="stable")
         samples = cls(
-            y=sorted_y,
-            x=sorted_x,
-            pixel_row_start=find(is_start),
-            sort_key=_encode_position(is_start.cumsum(), sorted_x),
+            y=y[order],
+            x=x[order],
+            pixel_row_start=find(mark_run_starts(pixel_row[order])),
+            sort_key=key[order],
         )
         return samples, order
 
@@ -237,9 +236,9 @@ class Scattered(Samples):
         spans = find_object_spans(
             shape, bounds, pixel_row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
-        # Pixel rows are numbered from 1 in `sort_key`, and bands from 0.
-        left_key = _encode_position(spans.band + 1, spans.left)
-        right_key = _encode_position(spans.band + 1, spans.right)
+        pixel_row = pixel_row_top[spans.band]
+        left_key = _encode_position(pixel_row, spans.left)
+        right_key = _encode_position(pixel_row, spans.right)
         span_start = self.sort_key.searchsorted(left_key)
         span_end = self.sort_key.searchsorted(right_key, side="right")
         span_size = np.maximum(span_end - span_start, 0)
@@ -252,7 +251,7 @@ class Scattered(Samples):
         )
 
 
-def _encode_position(pixel_row: Shaped[Ints, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:
+def _encode_position(pixel_row: Shaped[Floats, "n"], x: Shaped[Floats, "n"]) -> Shaped[Floats, "n"]:
     """Encode each position as one number, so that the numbers sort by pixel row and then by x.
 
     `x` may be infinite.  Two positions may have equal numbers if they are less than 1/8 pixel
