@@ -32,7 +32,7 @@ Complexes: TypeAlias = NDArray[np.complex128]
 # Minimum area of a region, as a fraction of its cell.  Smaller areas are mostly rounding error.
 _MIN_AREA = 1e-12
 
-# Corners of the two triangles into which each cell is divided first.
+# The two triangles into which each cell is divided first: row i contains corner i of both.
 _CELL_TRIANGLES = [[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]]
 
 
@@ -141,12 +141,11 @@ def _expand_near_zeros(functions: Enclosures) -> _Expansions:
     """
     constant, slope_x, slope_y, coef_xx, coef_xy, coef_yy, *_ = functions.coefficients
     x, y = _take_newton_step(functions.coefficients[:X_SQUARED])
-    value = constant + slope_x * x + slope_y * y
-    value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
+    linear_part = constant + slope_x * x + slope_y * y
     return _Expansions(
         x=x,
         y=y,
-        value=value,
+        value=linear_part + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y,
         gradient_x=slope_x + 2 * coef_xx * x + coef_xy * y,
         gradient_y=slope_y + coef_xy * x + 2 * coef_yy * y,
     )
@@ -210,12 +209,21 @@ def _rotate_second_derivatives(
     (-normal_y, normal_x).
     """
     coef_xx, coef_xy, coef_yy = functions.coefficients[X_SQUARED : X_SQUARED + 3]
-    f_tt = coef_xx * normal_y * normal_y - coef_xy * normal_x * normal_y
-    f_tt = 2 * (f_tt + coef_yy * normal_x * normal_x)
-    f_tn = 2 * (coef_yy - coef_xx) * normal_x * normal_y
-    f_tn = f_tn + coef_xy * (normal_x * normal_x - normal_y * normal_y)
-    f_nn = coef_xx * normal_x * normal_x + coef_xy * normal_x * normal_y
-    f_nn = 2 * (f_nn + coef_yy * normal_y * normal_y)
+    # The derivative along unit vectors u and v is the sum of u_i v_j f_ij over X and Y.  Here,
+    # f_XX = 2 coef_xx, f_XY = coef_xy and f_YY = 2 coef_yy.
+    f_tt = 2 * (
+        coef_xx * normal_y * normal_y
+        - coef_xy * normal_x * normal_y
+        + coef_yy * normal_x * normal_x
+    )
+    f_tn = 2 * (coef_yy - coef_xx) * normal_x * normal_y + coef_xy * (
+        normal_x * normal_x - normal_y * normal_y
+    )
+    f_nn = 2 * (
+        coef_xx * normal_x * normal_x
+        + coef_xy * normal_x * normal_y
+        + coef_yy * normal_y * normal_y
+    )
     return f_tt, f_tn, f_nn
 
 
