@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, load_scene
+from tracer.scene import elements
 
 EMPTY = "<camera/><image>4 3</image>"
 
@@ -162,7 +163,7 @@ def test_the_reader_leaves_no_reference_cycles():
 
 def test_a_chunk_of_white_space_separates_numbers():
     """The file is parsed in chunks: the first number ends one, and the second begins another."""
-    chunk_bytes = 1 << 14
-    start = "<scene><camera/><image>4 3</image><light><position>".ljust(chunk_bytes - 1)
-    scene = f"{start}1{' ' * chunk_bytes}2 3</position></light></scene>"
+    size = elements._CHUNK_BYTES
+    start = "<scene><camera/><image>4 3</image><light><position>".ljust(size - 1)
+    scene = f"{start}1{' ' * size}2 3</position></light></scene>"
     assert load_scene(io.BytesIO(scene.encode())).lights[0].position == (1, 2, 3)
