@@ -129,7 +129,8 @@ def find_fields(owner: type) -> _Fields:
 def _compile_definition(lines: Sequence[str]) -> Callable[..., Any]:
     """Compile the source code of a function named `checked`."""
     names: dict[str, Any] = {}
-    exec(compile("\n".join(lines), __file__, "exec"), NAMESPACE, names)
+    # The name is that of no file, of which tracebacks would quote unrelated lines.
+    exec(compile("\n".join(lines), "<checks of shapes>", "exec"), NAMESPACE, names)
     checked: Callable[..., Any] = names["checked"]
     return checked
 
