@@ -149,10 +149,9 @@ def compile_function(function: Callable[..., Any], owner: type | None) -> Callab
         for name, hint in hints.items()
         if (test := write_test(hint))
     }
-    words = set(re.findall(r"\w+", str(texts.values())))
+    names = find_names(" ".join(map(str, texts.values())))
     lines = ["def checked(*args, **kwargs):", "    count = len(args)", "    sizes = {}"]
     if owner:
-        names = find_names(" ".join(map(str, texts.values())))
         lines += find_fields(owner).write("args[0]", names)
     value_lines = []
     for index, parameter in enumerate(inspect.signature(function).parameters.values()):
@@ -166,7 +165,7 @@ def compile_function(function: Callable[..., Any], owner: type | None) -> Callab
                 value_lines += checks[name].write("each", indent="        ")
         elif name in checks:
             value_lines += checks[name].write(expression)
-        elif name in words:
+        elif name in names:
             lines += [f"    value = {expression}"]
             lines += [f"    if isinstance(value, int): sizes[{name!r}] = value"]
     lines += value_lines
