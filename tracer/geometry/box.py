@@ -40,7 +40,6 @@ from tracer.geometry.silhouette import bound_variation, evaluate_box_edges, find
 from tracer.geometry.slabs import (
     crosses_surface,
     intersect_slab,
-    intersect_slabs,
     snap_to_faces,
     test_capsules_on_boxes,
 )
@@ -135,7 +134,7 @@ class Boxes(Shape):
             # The code of the face that the ray hits, if it hits a face perpendicular to this axis.
             # The normal of a visible face points against the ray.
             face_codes.append((component < 0).view(np.int8) + np.int8(2 * axis))
-        box = intersect_slabs(slabs)
+        box = slabs[0].intersect(slabs[1]).intersect(slabs[2])
         is_hit = box.enter_t <= box.leave_t
         # The hit is where the ray enters the box or, if the eye is inside, where the ray leaves it.
         hit_t = box.enter_t
