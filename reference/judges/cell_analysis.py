@@ -451,8 +451,8 @@ class CellAnalysis:
         squared_radius = radius**2
         squares = np.square([light, center, to_center]).sum(axis=1)
         squared_light, squared_center, squared_to_center = squares
-        q, q_size = self._subtract_from_rays(pair_index, light)
-        w, w_size = self._subtract_from_rays(pair_index, center)
+        points = np.array([light, center])
+        (q, w), (q_size, w_size) = self._subtract_from_rays(pair_index, points)
         u, c_cross_w = enclose_cone(to_center, radius, q, w, (q_size, w_size))
         c_cross_center = compute_cross_product(to_center, center[:, None])
         s_squared = self.root_term_squared[pair_index]
@@ -468,9 +468,9 @@ class CellAnalysis:
         return RayFunctions(pair_index=pair_index, smooth_part=u, root_factor=Enclosures(v))
 
     def _subtract_from_rays(
-        self, pair_index: Shaped[Ints, "n"], points: Shaped[Floats, "3 n"]
-    ) -> tuple[Shaped[Floats, "3 3 n"], Shaped[Floats, "n"]]:
-        """Compute d - p k.d for the rays of each pair and a point p; bound the sizes of its terms.
+        self, pair_index: Shaped[Ints, "n"], points: Shaped[Floats, "m 3 n"]
+    ) -> tuple[Shaped[Floats, "m 3 3 n"], Shaped[Floats, "m n"]]:
+        """Compute d - p k.d for the rays of each pair and m points p; bound the sizes of its terms.
 
         It is the vector from p to the visible point t d, divided by t, without the root term of
         1 / t = k.d + s.  It is linear in X and Y (see `vectors`).
@@ -478,9 +478,9 @@ class CellAnalysis:
         rays = self._rays[:, :, self.cells.cell_index[pair_index]]
         linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
         linear_coef = self.faces.linear_coef[:, self.cells.face_index[pair_index]]
-        scale = 2 * np.abs(linear_coef).sum(axis=0) * np.sqrt(np.square(points).sum(axis=0))
+        scale = 2 * np.abs(linear_coef).sum(axis=0) * np.sqrt(np.square(points).sum(axis=1))
         size = self.scene.frame.max_ray_size * (1 + scale)
-        return rays - points[:, None] * linear_term, size
+        return rays - points[:, :, None] * linear_term, size
 
     def _make_box_shadow_conditions(
         self, casts_no_shadow: Shaped[Bools, "triples"]
