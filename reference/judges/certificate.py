@@ -136,21 +136,21 @@ class CellEstimates(NamedTuple):
 
 
 def estimate_means(
-    analysis: CellAnalysis, contributions: Contributions, is_skipped: Shaped[Bools, "cells"]
+    analysis: CellAnalysis, contributions: Contributions, is_requested: Shaped[Bools, "cells"]
 ) -> CellEstimates:
     """Estimate the mean radiance of each cell of the picture, and bound the error of the estimate.
 
     Strips that contain the edges divide a cell into regions.  One sample is traced at the centroid
-    of each region.  In skipped cells, in cells with too many edges, and in black cells, no sample
-    is traced, and half the maximum radiance is the estimate.
+    of each region.  In cells that are not requested, in cells with too many edges, and in black
+    cells, no sample is traced, and half the maximum radiance is the estimate.
     """
     cell_count = analysis.cells.x.size
     max_radiance = _bound_radiance(analysis.cells, contributions)
     # Divide cells into regions.
-    all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
+    all_strips = _enclose_edges(analysis, contributions, max_radiance, is_requested)
     has_many_edges = np.bincount(all_strips.cell_index, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
-    is_sampled = ~(is_skipped | has_many_edges | is_black)
+    is_sampled = is_requested & ~has_many_edges & ~is_black
     strips = all_strips.take(is_sampled[all_strips.cell_index])
     regions = _divide_cells(strips, is_sampled)
     # Estimate the mean of each region, and then of each cell, with their errors.
@@ -212,12 +212,12 @@ def _enclose_edges(
     analysis: CellAnalysis,
     contributions: Contributions,
     max_radiance: Shaped[Floats, "3 cells"],
-    is_skipped: Shaped[Bools, "cells"],
+    is_requested: Shaped[Bools, "cells"],
 ) -> Strips:
     """Enclose each edge of the picture in a strip, and bound the jump in radiance across the edge.
 
     `max_radiance` bounds the radiance anywhere in a cell.  Edges without a jump, and edges in
-    skipped cells, get no strip.
+    cells that are not requested, get no strip.
     """
     cells, edges = analysis.cells, concatenate_edges(analysis.edges)
     cell_index = cells.cell_index[edges.pair_index]
@@ -228,7 +228,7 @@ def _enclose_edges(
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution_index]
     # Where the face changes (light index -1), the radiance may change by the maximum in the cell.
     jump = np.where(edges.light_index < 0, max_radiance.max(axis=0)[cell_index], light_jump)
-    edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell_index])
+    edge_index = np.flatnonzero((jump > 0) & is_requested[cell_index])
     functions = edges.functions[edge_index]
     return enclose_in_strips(cell_index[edge_index], functions, jump[edge_index])
 
@@ -440,7 +440,7 @@ class _Picture:
         in it (see `estimate_means`).
         """
         cells = analysis.cells
-        estimates = estimate_means(analysis, contributions, ~is_pending)
+        estimates = estimate_means(analysis, contributions, is_pending)
         is_final = is_pending & self.find_final_cells(cells, estimates.error, is_pending)
         cell_index = np.flatnonzero(is_final)
         mean_radiance = enclose_constants(estimates.mean, estimates.error)
