@@ -25,10 +25,10 @@ Differences: TypeAlias = NDArray[np.float32]
 
 GAMMA = 2.2
 """Exponent of the gamma encoding of 8-bit pictures in the scene format."""
-LARGE_DIFFERENCE = 1e-3
-"""Pixels that differ by more than this in linear light are counted."""
 LARGE_DIFFERENCE_TEXT = "1e-3"
 """`LARGE_DIFFERENCE` as reports print it."""
+LARGE_DIFFERENCE = float(LARGE_DIFFERENCE_TEXT)
+"""Pixels that differ by more than this in linear light are counted."""
 PERCENTILE = 99.9
 """Percentile of the pixels' differences that is reported.  It also limits their amplification."""
 
