@@ -263,8 +263,7 @@ def _convert_shader_exactly(shader: Shader, name: str) -> Element:
     phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
     diffuse = make_vector("vector", "diffuse", phong.diffuse)
     specular = make_vector("vector", "specular", phong.specular)
-    parameters = {"exponent": phong.exponent}
-    return make_plugin("bsdf", "blinn_phong", diffuse, specular, name=name, **parameters)
+    return make_plugin("bsdf", "blinn_phong", diffuse, specular, name=name, exponent=phong.exponent)
 
 
 def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
