@@ -172,7 +172,7 @@ class MistakeRenderer:
     def get_formulas(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
 
-        The result is empty if two mistakes replace the same formula, and so exclude each other.
+        The result is empty if its mistakes exclude each other (see `join_formulas`).
         """
         return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
 
