@@ -66,15 +66,15 @@ _DIFFERENCE_LEGEND = (
 )
 
 
-class Comparison(NamedTuple):
-    """The comparison of the two pictures of a scene."""
+class ComparedScene(NamedTuple):
+    """A scene with the comparison of its two pictures."""
 
     result: CheckResult
     comment: str  # the first comment of the scene file, which describes the scene
 
 
 def render_report(
-    comparisons: Sequence[Comparison],
+    scenes: Sequence[ComparedScene],
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
@@ -87,7 +87,7 @@ def render_report(
     failures
         Messages about scenes that could not be compared.
     """
-    results = [comparison.result for comparison in comparisons]
+    results = [scene.result for scene in scenes]
     scene_count = len(results)
     agreeing_count = sum(result.verdict == AGREES for result in results)
     all_agree = 0 < agreeing_count == scene_count and not failures
@@ -102,7 +102,7 @@ def render_report(
         table_name="All scenes",
         column_titles=_TITLES,
         rows=[_format_overview_row(index, result) for index, result in enumerate(results)],
-        pairs=[_prepare_scene_pair(*comparison) for comparison in comparisons],
+        pairs=[_prepare_scene_pair(*scene) for scene in scenes],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
@@ -121,7 +121,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
 
 
 def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
-    """Prepare a comparison for the HTML page."""
+    """Prepare a compared scene for the HTML page."""
     is_excluded, metrics = result.is_excluded, result.metrics
     is_good = result.verdict == AGREES
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
@@ -192,13 +192,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     page_path = Path(output, _PAGE_NAME if is_folder(output) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     set_up_mitsuba(arguments.variant, exit_status=MISUSED)
-    comparisons, failures = _compare_scenes(paths, arguments.variant)
+    scenes, failures = _compare_scenes(paths, arguments.variant)
     # Charts appear only on a page that shows none but the project's own scenes.
     shows_charts = {*paths} <= {*list_scene_files()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if shows_charts]
-    write_page(page_path, render_report(comparisons, charts, failures))
+    write_page(page_path, render_report(scenes, charts, failures))
     print_line(sys.stdout, make_printable(str(page_path)))
-    return FAILED if failures else choose_exit_status(each.result for each in comparisons)
+    return FAILED if failures else choose_exit_status(scene.result for scene in scenes)
 
 
 def _make_command_parser() -> CommandParser:
@@ -214,14 +214,14 @@ def _make_command_parser() -> CommandParser:
 
 def _compare_scenes(
     paths: Sequence[Path], variant: str | None
-) -> tuple[list[Comparison], list[str]]:
-    """Compare the pictures of scene files; return the comparisons and the messages of failures.
+) -> tuple[list[ComparedScene], list[str]]:
+    """Compare the pictures of scenes; return the compared scenes, and messages about the others.
 
     The messages are also printed.  `variant` is the name of Mitsuba's variant; None stands for the
     fastest.
     """
     names_are_unique = len({path.stem for path in paths}) == len(paths)
-    comparisons = []
+    scenes = []
     failures = []
     for path in track(paths, len(paths), "scenes"):
         name = make_printable(path.stem if names_are_unique else str(path))
@@ -229,15 +229,15 @@ def _compare_scenes(
         if isinstance(outcome, Failure):
             failures.append(str(outcome))
         else:
-            comparisons.append(outcome)
-    return comparisons, failures
+            scenes.append(outcome)
+    return scenes, failures
 
 
-def _compare_scene(path: Path, name: str, variant: str | None) -> Comparison:
+def _compare_scene(path: Path, name: str, variant: str | None) -> ComparedScene:
     """Compare the pictures of a scene file.
 
     `name` is the scene's name on the page.  Raise Failure if the scene cannot be read or compared.
     """
     result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):
-        return Comparison(result=result, comment=_read_comment(path))
+        return ComparedScene(result=result, comment=_read_comment(path))

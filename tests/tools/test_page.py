@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from test_report import CHART, HEIGHT, MITSUBA, TRACER, WIDTH, make_result
 
 from reference.compare import main
-from reference.report import Comparison, render_report
+from reference.report import ComparedScene, render_report
 
 pytestmark = pytest.mark.slow
 
@@ -34,8 +34,8 @@ def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     Animations are off, as readers can request: pictures change only when a button is pressed.
     """
     path = tmp_path / "report.html"
-    comparisons = [Comparison(make_result(), comment="")]
-    path.write_text(render_report(comparisons, [("Chart", CHART)]), encoding="utf-8")
+    scenes = [ComparedScene(make_result(), comment="")]
+    path.write_text(render_report(scenes, [("Chart", CHART)]), encoding="utf-8")
     size = {"width": 1280, "height": 1000}
     with browser.new_page(viewport=size, reduced_motion="reduce") as page:
         schemes, messages = [], []

@@ -24,7 +24,7 @@ from reference.figures import (
     get_largest_difference,
     measure_differences,
 )
-from reference.report import Comparison, main, render_report
+from reference.report import ComparedScene, main, render_report
 
 WIDTH, HEIGHT = 8, 6
 
@@ -64,11 +64,11 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 def test_the_page_contains_everything_that_it_shows():
     same = replace(make_result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_))
-    comparisons = [
-        Comparison(make_result("<b>&"), comment="Shows <one> & more."),
-        Comparison(same, comment=""),
+    scenes = [
+        ComparedScene(make_result("<b>&"), comment="Shows <one> & more."),
+        ComparedScene(same, comment=""),
     ]
-    text = render_report(comparisons, [("Chart", CHART)])
+    text = render_report(scenes, [("Chart", CHART)])
     for expected in (
         "12.3 ms",
         "4.50 s",
