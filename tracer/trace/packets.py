@@ -23,7 +23,6 @@ certainly shades all hits.  So shadows are those that a test of every object wou
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Annotated as Shaped
 from typing import NamedTuple
 
@@ -80,8 +79,7 @@ class Candidates(NamedTuple):
     shaded_pairs: Shaped[Ints, "2 k"]  # indices of lights, and of hits that are in shadow
 
 
-@dataclass(eq=False, kw_only=True)
-class _Packets:
+class _Packets(NamedTuple):
     """One level of the hierarchy of packets.
 
     The children of a row packet are hits.  The children of a square packet are row packets.
@@ -100,8 +98,7 @@ class _Packets:
 
     def reorder(self, packet_index: Shaped[Ints, "packets"]) -> _Packets:
         """Return the packets in another order."""
-        fields = {name: values.take(packet_index, axis=-1) for name, values in vars(self).items()}
-        return _Packets(**fields)
+        return _Packets._make(field.take(packet_index, axis=-1) for field in self)
 
     def mark_shaded(self, shaded_pairs: Shaped[Ints, "2 n"]) -> None:
         """Set `may_be_lit` to False for pairs of a light (row 0) and a packet (row 1)."""
