@@ -22,12 +22,10 @@ def test_capsules_on_balls(
     axis_end: Shaped[Triple, "n"],
     capsule_radius: Shaped[Floats, "n"],
 ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-    """Test whether the surface of each sphere crosses some, and whether all, segments in a capsule.
+    """Test whether the surface of each sphere crosses some, or all, segments in a capsule.
 
-    The segments start at most `capsule_radius` away from `axis_start`, and end at `axis_end`.  So
-    they stay within this distance from the axis of the capsule, which is the segment between these
-    points.  The first result is False only if certainly no segment crosses the surface.  The
-    second is True only if certainly all segments do.
+    All segments lie in the capsule around the axis from `axis_start` to `axis_end` (see
+    `Shape.test_capsules`).
     """
     axis = map_xyz(np.subtract, axis_end, axis_start)
     to_center = map_xyz(np.subtract, center, axis_start)

@@ -88,12 +88,7 @@ class Boxes(Shape):
     def find_x_range(
         self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Bound the x at which each box appears in a band of the picture, which is `height` high.
-
-        Band i begins at y = top[i].  The results are the smallest and the largest x, in pixels.  If
-        the box does not appear in its band, the smallest x is the larger one, or both are NaN (see
-        `Shape.find_x_range`).
-        """
+        """Bound the x at which each box appears in a band (see `Shape.find_x_range`)."""
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_y = frame.to_ray_y(top + height / 2)
         min_ray_x = np.full(box_index.size, -np.inf)
@@ -120,10 +115,7 @@ class Boxes(Shape):
     ) -> tuple[Shaped[Floats, "n"], Shaped[Sides, "n"]]:
         """Compute where rays from the eye hit boxes, and the code of the face that each ray hits.
 
-        A span consists of consecutive rays with the same box and `ray_y`.  It contains `ray_count`
-        rays, or one if that is None.  The hit is at t times the direction of the ray; t is infinite
-        if the ray misses the box.  The code of a face is 2 * axis, plus 1 if the ray moves against
-        the axis (see `Shape.intersect`).  A ray in the plane of a face may hit the box.
+        A ray in the plane of a face may hit the box (see `Shape.intersect`).
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         slabs, face_codes = [], []
@@ -193,12 +185,10 @@ class Boxes(Shape):
         light_side: Shaped[Sides, "n"],
         growth: Shaped[Floats, "n"] | None = None,
     ) -> Shaped[Bools, "n"]:
-        """Test whether the surface of each box crosses the segment from a hit to a light.
+        """Test whether each box blocks the segment from a hit to a light (see `Shape.occludes`).
 
-        Only crossings strictly between the ends count.  A segment in the plane of a face is not
-        blocked.  Before the test, ends within rounding error of the plane of a face are moved onto
-        it, so `light_side` is not needed.  `growth` is the distance by which each face is moved
-        outwards first (see `Shape.occludes`).
+        A segment in the plane of a face is not blocked.  Before the test, ends within rounding
+        error of the plane of a face are moved onto it, so `light_side` is not needed.
         """
         low, high = self.get_corners(object_index)
         if growth is not None:
@@ -220,11 +210,9 @@ class Boxes(Shape):
         axis_end: Shaped[Triple, "n"],
         capsule_radius: Shaped[Floats, "n"],
     ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-        """Test whether each box blocks some, and whether it blocks all, segments in a capsule.
+        """Test whether each box blocks some, or all, segments in a capsule.
 
-        The segments start at most `capsule_radius` away from `axis_start`, and end at `axis_end`.
-        The first result is False only if the box certainly blocks no segment.  The second is True
-        only if the box certainly blocks all of them.
+        See `Shape.test_capsules`.
         """
         # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
@@ -240,10 +228,9 @@ class Boxes(Shape):
         viewpoint: Shaped[Floats, "3 n"],
         ray: Shaped[Triple, "#6 n"],
     ) -> SilhouetteEdges:
-        """Find the edges of each box's outline, seen from a viewpoint, that may cross a cell.
+        """Find the edges of each box's outline that may cross a cell.
 
-        Six rays from the viewpoint lead to six points of the cell (see `Shape.find_silhouettes`).
-        The outline of a box has up to six edges.
+        The outline of a box has up to six edges (see `Shape.find_silhouettes`).
         """
         box_index = self.objects.to_local(object_index)
         to_low = self.min_pt[:, box_index] - viewpoint

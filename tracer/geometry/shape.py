@@ -189,8 +189,7 @@ class Shape(ABC):
     ) -> Iterator[Shaped[Floats, "n"]]:
         """Yield the x, then the y and then the z components of rays, in scene axes.
 
-        The rays are given span by span.  Those of a span are consecutive in `ray_x`, and have the
-        same `ray_y`.  Each span has `ray_count` rays, or one if that is None.
+        The rays are given span by span (see `intersect`).
         """
         # In scene axes, the direction is ray_x * right + ray_y * down + depth * ahead, where right,
         # down and ahead are the camera's axes.  The last two terms are the same in a span.
@@ -366,8 +365,7 @@ class Shape(ABC):
     ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
         """Find the hits that are near another face of their object, for each planar face.
 
-        Yields the code of the other face (2 * axis, plus 1 if the normal that faces the eye points
-        in the direction of the axis), and the indices of hits near it.  Such a hit is less than
+        Yields the code of the other face, and the indices of hits near it.  Such a hit is less than
         `max_distance` away from the plane of the face, and the face may be visible.  If objects
         also have a curved face, the subclass adds the hits near it.
 

@@ -97,12 +97,10 @@ def test_capsules_on_boxes(
     axis_end: Shaped[Triple, "n"],
     radius: Shaped[Floats, "n"],
 ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-    """Test whether the surface of each box crosses some, and whether all, segments in a capsule.
+    """Test whether the surface of each box crosses some, or all, segments in a capsule.
 
-    The segments start at most `radius` away from `axis_start`, and end at `axis_end`.  So they stay
-    within this distance from the *axis* of the capsule, which is the segment between these points.
-    The first result is False only if certainly no segment crosses the surface.  The second is True
-    only if certainly all segments do.
+    All segments stay within `radius` from the *axis* of the capsule, which leads from `axis_start`
+    to `axis_end` (see `Shape.test_capsules`).
     """
     # The box grown by the radius contains all points at most this far from the box.  Around each
     # point of the shrunk box, the box contains all points at most this far away.  Both begin as the

@@ -88,10 +88,9 @@ class Spheres(Shape):
     def find_x_range(
         self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Bound the x at which each sphere appears in a band of the picture, `height` high.
+        """Bound the x at which each sphere appears in a band (see `Shape.find_x_range`).
 
-        Band i begins at y = top[i].  The results are the smallest and the largest x, in pixels.  If
-        the sphere does not appear in its band, both are NaN (see `Shape.find_x_range`).
+        If the sphere does not appear in its band, both bounds are NaN.
         """
         # If a ray of the band meets the sphere, then a ray through the center line of the band
         # meets the sphere grown by the distance between the two rays.
@@ -118,13 +117,10 @@ class Spheres(Shape):
         ray_x: Shaped[Floats, "n"],
         ray_count: Shaped[Ints, "spans"] | None,
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Compute where rays from the eye hit spheres.
+        """Compute where rays from the eye hit spheres (see `Shape.intersect`).
 
-        A span consists of consecutive rays with the same sphere and `ray_y`.  It contains
-        `ray_count` rays, or one if that is None.  The hit is at t times the direction of the ray; t
-        is infinite if the ray misses the sphere (see `Shape.intersect`).  The second result,
-        `radial_dot`, is the absolute dot product of the direction of the ray and the vector from
-        the center to the hit; it is NaN if the ray misses.
+        The second result, `radial_dot`, is the absolute dot product of the direction of the ray and
+        the vector from the center to the hit; it is NaN if the ray misses.
         """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.from_eye, sphere_index), self.radius[sphere_index]
@@ -169,9 +165,7 @@ class Spheres(Shape):
     ) -> TangentPlanes:
         """Compute the plane that touches the sphere at each hit.
 
-        Run i consists of run_length[i] consecutive hits on one sphere.  The vectors `to_hit` lead
-        from the eye to the hits, in camera axes.  The arrays `t` and `radial_dot` are the results
-        of `intersect` (see `Shape.compute_tangent_planes`).
+        `t` and `radial_dot` are the results of `intersect` (see `Shape.compute_tangent_planes`).
         """
         sphere_index = self.objects.to_local(object_index)
         # If the eye is inside, the normal that faces it points to the center.
@@ -212,11 +206,9 @@ class Spheres(Shape):
         light_side: Shaped[Sides, "n"],
         growth: Shaped[Floats, "n"] | None = None,
     ) -> Shaped[Bools, "n"]:
-        """Test whether the surface of each sphere crosses the segment from a hit to a light.
+        """Test whether each sphere blocks the segment from a hit to a light (see `Shape.occludes`).
 
-        Only crossings strictly between the ends count.  If the hit is on the sphere, its segment
-        starts on the eye's side of the surface.  `light_side` tells whether the light is `OUTSIDE`,
-        `ON` or `INSIDE` the sphere.  `growth` is added to the radius first (see `Shape.occludes`).
+        If the hit is on the sphere, its segment starts on the eye's side of the surface.
         """
         sphere_index = self.objects.to_local(object_index)
         to_light = map_xyz(np.subtract, light, hit)
@@ -255,11 +247,9 @@ class Spheres(Shape):
         axis_end: Shaped[Triple, "n"],
         capsule_radius: Shaped[Floats, "n"],
     ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-        """Test whether each sphere blocks some, and whether it blocks all, segments in a capsule.
+        """Test whether each sphere blocks some, or all, segments in a capsule.
 
-        The segments start at most `capsule_radius` away from `axis_start`, and end at `axis_end`.
-        The first result is False only if the sphere certainly blocks no segment.  The second is
-        True only if the sphere certainly blocks all of them.
+        See `Shape.test_capsules`.
         """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]
@@ -275,8 +265,7 @@ class Spheres(Shape):
     ) -> SilhouetteEdges:
         """Find the outline of each sphere, seen from a viewpoint, as one edge.
 
-        Six rays from the viewpoint lead to six points of a cell (see `Shape.find_silhouettes`).
-        The values are the angles by which they miss the sphere.
+        The values are angles by which rays miss the sphere (see `Shape.find_silhouettes`).
         """
         sphere_index = self.objects.to_local(object_index)
         eye_to_viewpoint = self.frame.point_to_camera(viewpoint.T)
@@ -289,8 +278,8 @@ class Spheres(Shape):
     ) -> Shaped[Floats, "m n"]:
         """Compute 1 / t of rays from the eye, where t * ray is on each sphere.
 
-        It is the near intersection or, if the eye is inside, the far one.  For a ray that misses
-        the sphere, the result is a smooth continuation (see `Shape.compute_inverse_t`).
+        It is the near intersection or, if the eye is inside, the far one (see
+        `Shape.compute_inverse_t`).
         """
         # The point t d is on the sphere with the center C if t^2 d^2 - 2 t C . d + P = 0, where P
         # is the power of the eye.  With u = 1 / t, this is P u^2 - 2 u C . d + d^2 = 0.  A root is
@@ -314,10 +303,7 @@ class Spheres(Shape):
         ray: Shaped[Triple, "#m n"],
         inverse_t: Shaped[Floats, "m n"],
     ) -> Shaped[Triple, "m n"]:
-        """Compute outward normals, in camera axes and not normalised, where rays hit spheres.
-
-        `inverse_t` is the result of `compute_inverse_t` for these rays.
-        """
+        """Compute outward normals where rays hit spheres (see `Shape.compute_normals`)."""
         # The result is the vector from the center to the point t * ray, divided by t.
         center = take(self.from_eye, self.objects.to_local(object_index))
         return map_xyz(np.subtract, ray, scale(center, inverse_t))

@@ -42,11 +42,9 @@ class LightGeometry(NamedTuple):
     def compute_highlight_strength(
         self, light_index: int, hit_index: Shaped[Ints, "k"]
     ) -> Shaped[Floats, "k"]:
-        """Compute the strength, from 0 to 1, of the highlight of one light at selected hits.
+        """Compute the strength, (n.h)^p, of the highlight of one light at selected hits.
 
-        The strength is (n.h)^p, where n is the unit normal, h the unit half vector between the
-        directions to the light and to the eye, and p the exponent of the surface.  The surface must
-        face the light at these hits.
+        The surface must face the light at these hits.  See the start of the module for the symbols.
         """
         hits = self.hits
         from_eye = take(hits.from_eye, hit_index)
@@ -78,10 +76,7 @@ class LightGeometry(NamedTuple):
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute the dot products n . l and l . l for each pair of a light and a hit.
-
-    Here n is the unit normal at the hit, and l the vector from the hit to the light.
-    """
+    """Compute the dot products of each pair of a light and a hit (see `LightGeometry`)."""
     pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
     geometry = LightGeometry(
         hits=hits,

@@ -199,9 +199,8 @@ def _test_capsules(
 ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
     """Test each object with the capsule around the segments from a packet's hits to a light.
 
-    The rows of `triples` are indices of lights, of packets and of objects.  The first result is
-    False only if the object certainly shades no hit of the packet.  The second is True only if the
-    object certainly shades all of them.
+    The rows of `triples` are indices of lights, of packets and of objects.  The results tell
+    whether the object may shade any hit, and whether it shades all (see `Shape.test_capsules`).
     """
     light_index, packet_index, object_index = triples
     center, radius = take(packets.center, packet_index), packets.radius[packet_index]

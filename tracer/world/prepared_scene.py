@@ -100,8 +100,8 @@ class PreparedScene:
     shapes: tuple[Shape, ...]  # the shapes with at least one object, in the order of `SHAPES`
     # Bounding rectangles in the picture.  The rectangle of a duplicate has top > bottom.
     bounds: ScreenBounds
-    # Whether the following holds for all shapes.  If hits on one face are consecutive in a row of
-    # the picture, the sphere whose diameter leads from the first to the last contains all of them.
+    # Whether `Shape.are_rows_bounded_by_ends` holds for all shapes: then the first and the last of
+    # consecutive hits in a row bound the hits between them.
     are_rows_bounded_by_ends: bool
     is_eye_inside: Shaped[Bools, "objects"]  # whether the eye is inside or on the object
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
